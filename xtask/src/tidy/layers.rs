@@ -1,0 +1,149 @@
+//! Who may know whom. The tree is the architecture, so a new arrow is a decision made here.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+use serde_json::Value;
+
+use super::Offence;
+
+/// For every member: the members that it may depend on, tests and benches included.
+const LAYERS: [(&str, &[&str]); 12] = [
+    ("geometry", &[]),
+    ("camera", &["geometry"]),
+    ("features", &["camera"]),
+    ("geodesy", &["geometry"]),
+    ("vslam", &["camera", "features", "geometry"]),
+    ("registration", &["camera", "features", "geometry"]),
+    ("protocol", &["geometry"]),
+    (
+        "anchor",
+        &[
+            "camera", "features", "geodesy", "geometry", "protocol", "vslam",
+        ],
+    ),
+    ("sim", &["camera", "geometry"]),
+    (
+        "peer",
+        &[
+            "anchor",
+            "camera",
+            "features",
+            "geodesy",
+            "geometry",
+            "protocol",
+            "registration",
+            "sim",
+            "vslam",
+        ],
+    ),
+    (
+        "tests",
+        &["camera", "geodesy", "geometry", "peer", "protocol", "sim"],
+    ),
+    ("xtask", &[]),
+];
+
+/// The members that may name zenoh: the link, and the tests that speak to it from outside.
+const ZENOH_USERS: [&str; 2] = ["peer", "tests"];
+
+/// The only place in `peer` that imports zenoh.
+const ZENOH_HOME: &str = "peer/src/link";
+
+/// Checks the manifests, and where zenoh is imported.
+pub fn check(root: &Path) -> Result<Vec<Offence>> {
+    let mut offences = Vec::new();
+    let layers: BTreeMap<&str, &[&str]> = LAYERS.into_iter().collect();
+    let members = member_dependencies(root)?;
+    for (member, dependencies) in &members {
+        let mut offend = |what: String| {
+            offences.push(Offence {
+                path: PathBuf::from(member),
+                line: 0,
+                what,
+            });
+        };
+        let Some(allowed) = layers.get(member.as_str()) else {
+            offend("a member without a line in the table of layers".to_owned());
+            continue;
+        };
+        for dependency in dependencies {
+            let is_member = members.contains_key(dependency);
+            if is_member && !allowed.contains(&dependency.as_str()) {
+                offend(format!("must not know {dependency}"));
+            }
+            if dependency.starts_with("zenoh") && !ZENOH_USERS.contains(&member.as_str()) {
+                offend("must not know zenoh".to_owned());
+            }
+        }
+    }
+    find_zenoh_imports(root, &root.join("peer/src"), &mut offences)?;
+    Ok(offences)
+}
+
+fn member_dependencies(root: &Path) -> Result<BTreeMap<String, Vec<String>>> {
+    let output = Command::new(env!("CARGO"))
+        .args([
+            "metadata",
+            "--format-version",
+            "1",
+            "--no-deps",
+            "--offline",
+        ])
+        .current_dir(root)
+        .output()
+        .context("cannot start cargo metadata")?;
+    if !output.status.success() {
+        bail!(
+            "cargo metadata: {}",
+            String::from_utf8_lossy(&output.stderr).trim()
+        );
+    }
+    let metadata: Value = serde_json::from_slice(&output.stdout)?;
+    let names = |list: &Value| -> Vec<String> {
+        let entries = list.as_array().into_iter().flatten();
+        entries
+            .filter_map(|entry| entry["name"].as_str().map(str::to_owned))
+            .collect()
+    };
+    let packages = metadata["packages"]
+        .as_array()
+        .context("cargo metadata lists no packages")?;
+    Ok(packages
+        .iter()
+        .filter_map(|package| {
+            Some((
+                package["name"].as_str()?.to_owned(),
+                names(&package["dependencies"]),
+            ))
+        })
+        .collect())
+}
+
+fn find_zenoh_imports(root: &Path, folder: &Path, offences: &mut Vec<Offence>) -> Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            find_zenoh_imports(root, &path, offences)?;
+            continue;
+        }
+        let relative = path.strip_prefix(root).unwrap_or(&path).to_owned();
+        if relative.to_string_lossy().starts_with(ZENOH_HOME) {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        for (idx, line) in text.lines().enumerate() {
+            if line.contains("zenoh::") || line.trim_start().starts_with("use zenoh") {
+                let what = format!("zenoh is imported only in {ZENOH_HOME}");
+                offences.push(Offence {
+                    path: relative.clone(),
+                    line: idx + 1,
+                    what,
+                });
+            }
+        }
+    }
+    Ok(())
+}
