@@ -1,1 +1,3 @@
+//! The process on every vehicle, and the command line of `starling`.
 
+pub mod cli;

@@ -1,0 +1,98 @@
+//! The command line: what each command takes, and which exit code it ends with.
+
+mod demo;
+mod later;
+mod map;
+pub mod output;
+mod register;
+mod run;
+mod sim;
+mod slam;
+mod team;
+
+use std::process::ExitCode;
+
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+
+/// How a command ended, when it did not end with an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// Exit code 0.
+    Done,
+    /// Exit code 1: the result on stdout says why, for example a refused registration.
+    Refused,
+    /// Exit code 3: something was lost on the way, and the diagnostics name it.
+    DoneWithLoss,
+}
+
+/// Arguments that parse one by one but make no sense together; exit code 2.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct UsageError(pub String);
+
+/// A global pose for every vehicle of a team, when only some of them can see the sky.
+#[derive(Parser)]
+#[command(name = "starling", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Fly a rendered lab: a localised ground vehicle and two drones that are not.
+    Demo(demo::DemoArguments),
+    /// Run one vehicle's process.
+    Run(run::RunArguments),
+    /// Monocular vSLAM over a recording.
+    Slam(slam::SlamArguments),
+    /// Fly recordings as a team over zenoh.
+    Team(team::TeamArguments),
+    /// Register one point cloud to another.
+    Register(register::RegisterArguments),
+    /// Ask the network for maps.
+    #[command(subcommand)]
+    Map(map::MapCommand),
+    /// The simulator's process, started by `demo`.
+    #[command(hide = true)]
+    Sim(sim::SimArguments),
+    #[command(flatten)]
+    Later(later::LaterCommand),
+}
+
+/// Parses the process's arguments, runs the command, and reports errors on stderr.
+pub fn main() -> ExitCode {
+    let matches = Cli::command().get_matches();
+    let cli = match Cli::from_arg_matches(&matches) {
+        Ok(cli) => cli,
+        Err(error) => error.exit(),
+    };
+    output::start_log();
+    match dispatch(cli.command, &matches) {
+        Ok(Exit::Done) => ExitCode::SUCCESS,
+        Ok(Exit::Refused) => ExitCode::from(1),
+        Ok(Exit::DoneWithLoss) => ExitCode::from(3),
+        Err(error) => {
+            output::diagnose(&format!("error: {error:#}"));
+            ExitCode::from(if error.is::<UsageError>() { 2 } else { 1 })
+        }
+    }
+}
+
+fn dispatch(command: Command, matches: &ArgMatches) -> anyhow::Result<Exit> {
+    match command {
+        Command::Demo(arguments) => demo::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Slam(arguments) => slam::run(&arguments),
+        Command::Team(arguments) => {
+            let order = matches
+                .subcommand_matches("team")
+                .expect("clap matched the team command");
+            team::run(&arguments, order)
+        }
+        Command::Register(arguments) => register::run(&arguments),
+        Command::Map(command) => map::run(&command),
+        Command::Sim(arguments) => sim::run(&arguments),
+        Command::Later(command) => later::run(&command),
+    }
+}

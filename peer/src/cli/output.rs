@@ -1,0 +1,39 @@
+//! The one place that writes to stdout and stderr: results there, diagnostics here.
+
+use serde::Serialize;
+
+/// Prints one JSON object to stdout.
+#[expect(
+    clippy::print_stdout,
+    reason = "results go to stdout, through this module"
+)]
+pub fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
+    println!("{}", serde_json::to_string_pretty(value)?);
+    Ok(())
+}
+
+/// Prints one line of a result for a reader to stdout.
+#[expect(
+    clippy::print_stdout,
+    reason = "results go to stdout, through this module"
+)]
+pub fn print_line(line: &str) {
+    println!("{line}");
+}
+
+/// Prints one line of diagnostics to stderr.
+pub fn diagnose(line: &str) {
+    eprintln!("{line}");
+}
+
+/// Sends log lines to stderr; `RUST_LOG` chooses which, warnings of this project by default.
+pub fn start_log() {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error"));
+    let subscriber = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .finish();
+    // Fails only when a test has already installed one, which is then used.
+    let _ = tracing::subscriber::set_global_default(subscriber);
+}
