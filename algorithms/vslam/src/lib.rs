@@ -1,1 +1,15 @@
+//! Monocular visual SLAM: images in, poses, keyframes and a sparse map out.
+//!
+//! [`Vslam`] is the machine. It knows nothing of metres, of the Earth, or of other vehicles.
 
+mod map;
+mod report;
+mod settings;
+mod slam;
+
+pub use map::{Keyframe, KeyframeId, MapId, MapPoint, Observation, PointId, View, VslamMap};
+pub use report::{
+    FrameRefusal, FrameReport, LostReason, StartReason, TrackingState, TrajectoryEntry,
+};
+pub use settings::VslamSettings;
+pub use slam::Vslam;

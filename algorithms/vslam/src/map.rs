@@ -1,0 +1,69 @@
+//! The sparse map: keyframes, points, and who sees what.
+
+mod arena;
+mod ids;
+mod keyframe;
+mod point;
+
+pub use ids::{KeyframeId, MapId, PointId};
+pub use keyframe::{Keyframe, Observation};
+pub use point::{MapPoint, View};
+
+use arena::Arena;
+
+/// Keyframes and points in one frame of reference of unknown scale.
+#[derive(Clone, Debug)]
+pub struct VslamMap {
+    id: MapId,
+    revision: u64,
+    keyframes: Arena<Keyframe>,
+    points: Arena<MapPoint>,
+}
+
+impl VslamMap {
+    pub(crate) fn new(id: MapId, first_keyframe: KeyframeId, first_point: PointId) -> Self {
+        Self {
+            id,
+            revision: 0,
+            keyframes: Arena::starting_at(first_keyframe.0),
+            points: Arena::starting_at(first_point.0),
+        }
+    }
+
+    pub fn id(&self) -> MapId {
+        self.id
+    }
+
+    /// Grows whenever settled keyframes were moved, as by a loop closure.
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// All keyframes, oldest first.
+    pub fn keyframes(&self) -> impl DoubleEndedIterator<Item = &Keyframe> {
+        self.keyframes.iter()
+    }
+
+    pub fn keyframe_count(&self) -> usize {
+        self.keyframes.len()
+    }
+
+    /// The keyframe with this id, unless it was culled or is of another map.
+    pub fn keyframe(&self, id: KeyframeId) -> Option<&Keyframe> {
+        self.keyframes.get(id.0)
+    }
+
+    /// All points, oldest first.
+    pub fn points(&self) -> impl DoubleEndedIterator<Item = &MapPoint> {
+        self.points.iter()
+    }
+
+    pub fn point_count(&self) -> usize {
+        self.points.len()
+    }
+
+    /// The point with this id, unless it was culled or is of another map.
+    pub fn point(&self, id: PointId) -> Option<&MapPoint> {
+        self.points.get(id.0)
+    }
+}

@@ -1,0 +1,65 @@
+//! Things with consecutive ids, some of which were removed.
+
+/// A vector from consecutive ids to boxed values; a removed one costs a pointer.
+#[derive(Clone, Debug)]
+pub(crate) struct Arena<T> {
+    first_id: u32,
+    slots: Vec<Option<Box<T>>>,
+    len: usize,
+}
+
+impl<T> Arena<T> {
+    /// An empty arena whose first value will have this id.
+    pub(crate) fn starting_at(first_id: u32) -> Self {
+        Self {
+            first_id,
+            slots: Vec::new(),
+            len: 0,
+        }
+    }
+
+    /// The id that the next value will have.
+    pub(crate) fn next_id(&self) -> u32 {
+        self.first_id + u32::try_from(self.slots.len()).expect("ids are exhausted after 2^32 items")
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.len
+    }
+
+    pub(crate) fn push(&mut self, value: T) -> u32 {
+        let id = self.next_id();
+        self.slots.push(Some(Box::new(value)));
+        self.len += 1;
+        id
+    }
+
+    pub(crate) fn get(&self, id: u32) -> Option<&T> {
+        self.slots.get(self.slot(id)?)?.as_deref()
+    }
+
+    pub(crate) fn get_mut(&mut self, id: u32) -> Option<&mut T> {
+        let slot = self.slot(id)?;
+        self.slots.get_mut(slot)?.as_deref_mut()
+    }
+
+    pub(crate) fn remove(&mut self, id: u32) -> Option<T> {
+        let slot = self.slot(id)?;
+        let removed = self.slots.get_mut(slot)?.take()?;
+        self.len -= 1;
+        Some(*removed)
+    }
+
+    /// All values, oldest first.
+    pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = &T> {
+        self.slots.iter().filter_map(|slot| slot.as_deref())
+    }
+
+    pub(crate) fn iter_mut(&mut self) -> impl DoubleEndedIterator<Item = &mut T> {
+        self.slots.iter_mut().filter_map(|slot| slot.as_deref_mut())
+    }
+
+    fn slot(&self, id: u32) -> Option<usize> {
+        id.checked_sub(self.first_id).map(|slot| slot as usize)
+    }
+}

@@ -1,0 +1,62 @@
+//! Frames that the map is made of.
+
+use features::Descriptor;
+use geometry::{Camera, Map, Timestamp, Transform};
+use nalgebra::Vector2;
+
+use crate::{KeyframeId, PointId};
+
+/// A keypoint of a frame, ready for geometry.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Observation {
+    /// On the ideal plane: `(x/z, y/z)` of the ray, without distortion.
+    pub position: Vector2<f64>,
+    /// In the image as it was taken.
+    pub position_px: Vector2<f64>,
+    /// One standard deviation of each coordinate of `position`, in its unit.
+    pub sigma: f64,
+    /// Level of the pyramid on which it was found; 0 is the full resolution.
+    pub level: u8,
+    pub angle_rad: f32,
+    pub descriptor: Descriptor,
+    /// The map point that it shows, if that is known.
+    pub point: Option<PointId>,
+}
+
+/// A frame whose pose and observations are part of the map.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    pub(crate) id: KeyframeId,
+    pub(crate) frame_idx: u64,
+    pub(crate) captured_at: Timestamp,
+    pub(crate) camera_from_map: Transform<Camera, Map>,
+    pub(crate) observations: Vec<Observation>,
+}
+
+impl Keyframe {
+    pub fn id(&self) -> KeyframeId {
+        self.id
+    }
+
+    /// The number of the frame, as in [`crate::FrameReport::frame_idx`].
+    pub fn frame_idx(&self) -> u64 {
+        self.frame_idx
+    }
+
+    pub fn captured_at(&self) -> Timestamp {
+        self.captured_at
+    }
+
+    pub fn map_from_camera(&self) -> Transform<Map, Camera> {
+        self.camera_from_map.inverse()
+    }
+
+    pub fn camera_from_map(&self) -> &Transform<Camera, Map> {
+        &self.camera_from_map
+    }
+
+    /// Every keypoint of the frame, with or without a map point.
+    pub fn observations(&self) -> &[Observation] {
+        &self.observations
+    }
+}

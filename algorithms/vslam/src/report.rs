@@ -1,0 +1,150 @@
+//! What the caller learns from each frame.
+
+use std::fmt;
+
+use geometry::{Camera, Map, Timestamp, Transform};
+use nalgebra::Matrix6;
+
+use crate::{KeyframeId, MapId};
+
+/// The outcome of one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameReport {
+    /// Counts the frames given to [`crate::Vslam::process`], from 0.
+    pub frame_idx: u64,
+    pub captured_at: Timestamp,
+    /// The map in which the pose is given, or that a start would make.
+    pub map_id: MapId,
+    /// [`crate::VslamMap::revision`] of that map.
+    pub map_revision: u64,
+    pub state: TrackingState,
+    /// The pose, only while tracking.
+    pub map_from_camera: Option<Transform<Map, Camera>>,
+    /// Covariance of the pose over `[ω; ν]`, in the unit of the map, the map taken as exact.
+    pub pose_covariance: Option<Matrix6<f64>>,
+    /// Keypoints that agree with the map.
+    pub inlier_count: usize,
+    pub keypoint_count: usize,
+    /// The keyframe that this frame became.
+    pub new_keyframe: Option<KeyframeId>,
+    /// Keyframes that left the window of local bundle adjustment, oldest first. Each keyframe is
+    /// named once, and from then on moves only when `map_revision` grows or by later refinements
+    /// that stay within its uncertainty.
+    pub settled: Vec<KeyframeId>,
+}
+
+/// Whether a pose is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrackingState {
+    /// There is no map yet.
+    Starting {
+        reason: StartReason,
+    },
+    Tracking,
+    /// There is a map, and the camera's place in it is not known.
+    Lost {
+        reason: LostReason,
+    },
+}
+
+/// Why there is no map yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StartReason {
+    /// Nothing has been seen before this frame.
+    FirstFrame,
+    /// The image shows too few corners.
+    FewKeypoints,
+    /// Too little of the reference frame is still in view; a new one was taken.
+    FewMatches,
+    /// The camera has not moved sideways far enough, or only turned.
+    LowParallax,
+    /// Two explanations of the motion are equally good.
+    Ambiguous,
+    /// The first points did not survive refinement.
+    Unstable,
+    /// The frame was refused.
+    Refused(FrameRefusal),
+}
+
+/// Why the pose is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LostReason {
+    /// The image shows too few corners.
+    FewKeypoints,
+    /// Too few keypoints agree with the map.
+    FewInliers,
+    /// The place is not recognised.
+    UnknownPlace,
+    /// The frame was refused.
+    Refused(FrameRefusal),
+}
+
+/// Why a frame was not looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameRefusal {
+    /// The image does not have the size of the calibration.
+    ImageSize {
+        got: (usize, usize),
+        expected: (usize, usize),
+    },
+    /// The frame is not newer than the one before.
+    OutOfOrder,
+}
+
+/// The pose of one input frame after all corrections.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrajectoryEntry {
+    pub frame_idx: u64,
+    pub captured_at: Timestamp,
+    /// Poses of different maps share no frame of reference.
+    pub map_id: MapId,
+    pub map_from_camera: Option<Transform<Map, Camera>>,
+}
+
+impl fmt::Display for TrackingState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Starting { reason } => write!(f, "starting: {reason}"),
+            Self::Tracking => f.write_str("tracking"),
+            Self::Lost { reason } => write!(f, "lost: {reason}"),
+        }
+    }
+}
+
+impl fmt::Display for StartReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::FirstFrame => "first frame",
+            Self::FewKeypoints => "too few corners in the image",
+            Self::FewMatches => "too little of the first view is still in sight",
+            Self::LowParallax => "the camera has not moved sideways far enough",
+            Self::Ambiguous => "two motions explain the images equally well",
+            Self::Unstable => "the first points were not confirmed",
+            Self::Refused(refusal) => return refusal.fmt(f),
+        })
+    }
+}
+
+impl fmt::Display for LostReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::FewKeypoints => "too few corners in the image",
+            Self::FewInliers => "too little of the image agrees with the map",
+            Self::UnknownPlace => "this place is not in the map",
+            Self::Refused(refusal) => return refusal.fmt(f),
+        })
+    }
+}
+
+impl fmt::Display for FrameRefusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ImageSize { got, expected } => write!(
+                f,
+                "the image is {}×{}, expected {}×{}",
+                got.0, got.1, expected.0, expected.1
+            ),
+            Self::OutOfOrder => f.write_str("the frame is not newer than the one before"),
+        }
+    }
+}

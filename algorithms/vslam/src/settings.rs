@@ -1,0 +1,24 @@
+//! What may differ between vehicles.
+
+/// Settings of [`crate::Vslam`]. The defaults suit all cameras; numbers in pixels scale with it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VslamSettings {
+    /// Keypoints per frame; `None` chooses by the area of the image. 400 to 3000; more cost time,
+    /// fewer lose track in blur and in rooms with little texture.
+    pub feature_count: Option<usize>,
+    /// One standard deviation of a keypoint on the full-resolution level, pixels. 0.5 to 1.5;
+    /// smaller refuses good matches, larger lets wrong ones in.
+    pub keypoint_sigma_px: f64,
+    /// Seed of all random choices.
+    pub seed: u64,
+}
+
+impl Default for VslamSettings {
+    fn default() -> Self {
+        Self {
+            feature_count: None,
+            keypoint_sigma_px: 1.0,
+            seed: 1,
+        }
+    }
+}
