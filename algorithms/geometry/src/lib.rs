@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![warn(missing_docs)]
 
+pub mod absolute_pose;
 mod alignment;
 mod frames;
 mod robust;
