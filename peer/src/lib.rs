@@ -1,3 +1,5 @@
 //! The process on every vehicle, and the command line of `starling`.
 
 pub mod cli;
+pub mod dataset;
+pub mod files;

@@ -64,6 +64,15 @@ struct MatrixYaml {
 }
 
 impl Calibration {
+    /// A camera at the body's origin that looks forward.
+    pub fn looking_forward(camera: CameraModel) -> Self {
+        Self {
+            camera,
+            body_from_camera: optical_axes(),
+            rate_hz: None,
+        }
+    }
+
     /// Reads the text of a EuRoC `sensor.yaml`.
     pub fn from_euroc_yaml(text: &str) -> Result<Self, CalibrationError> {
         let yaml: SensorYaml = serde_saphyr::from_str(text)

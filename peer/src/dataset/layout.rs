@@ -1,0 +1,251 @@
+//! Where each kind of folder keeps its images, time stamps and calibration.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use camera::{Calibration, CalibrationError, CameraModel, Distortion, Intrinsics};
+use geometry::Timestamp;
+
+use super::{DatasetError, FrameEntry};
+use crate::files::parse_seconds;
+
+/// How a recording's folder is arranged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// `rgb.txt` with lines `timestamp path`, seconds.
+    TumRgbd,
+    /// `mav0/cam0/data.csv` with lines `timestamp,name`, nanoseconds.
+    Euroc,
+    /// `image_0/*.png` in the order of `times.txt`, seconds.
+    Kitti,
+}
+
+impl Layout {
+    pub fn detect(folder: &Path) -> Result<Self, DatasetError> {
+        if folder.is_file() {
+            return Err(DatasetError::NotSupported {
+                what: "a recording in one file (MCAP or video)",
+                path: folder.to_owned(),
+            });
+        }
+        if !folder.is_dir() {
+            return Err(DatasetError::NoFolder {
+                folder: folder.to_owned(),
+            });
+        }
+        if folder.join("rgb.txt").is_file() {
+            Ok(Self::TumRgbd)
+        } else if euroc_camera(folder).join("data.csv").is_file() {
+            Ok(Self::Euroc)
+        } else if folder.join("image_0").is_dir() {
+            Ok(Self::Kitti)
+        } else {
+            Err(DatasetError::UnknownLayout {
+                folder: folder.to_owned(),
+            })
+        }
+    }
+
+    /// All frames with strictly increasing time stamps.
+    pub fn list_frames(self, folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
+        let (list, frames) = match self {
+            Self::TumRgbd => {
+                let list = folder.join("rgb.txt");
+                let frames = read_list(&list, |line| read_tum_line(folder, line))?;
+                (list, frames)
+            }
+            Self::Euroc => {
+                let camera = euroc_camera(folder);
+                let list = camera.join("data.csv");
+                let images = camera.join("data");
+                let frames = read_list(&list, |line| read_euroc_line(&images, line))?;
+                (list, frames)
+            }
+            Self::Kitti => (folder.join("image_0"), list_kitti(folder)?),
+        };
+        if frames.is_empty() {
+            return Err(DatasetError::NoImages { path: list });
+        }
+        Ok(frames)
+    }
+
+    /// The calibration beside the images.
+    ///
+    /// - `image_size_px`: width and height of an image, which KITTI's `calib.txt` does not say.
+    pub fn read_calibration(
+        self,
+        folder: &Path,
+        image_size_px: (usize, usize),
+    ) -> Result<Calibration, DatasetError> {
+        let mut candidates = vec![folder.join("camera.yaml"), folder.join("sensor.yaml")];
+        if self == Self::Euroc {
+            candidates.insert(0, euroc_camera(folder).join("sensor.yaml"));
+        }
+        if let Some(path) = candidates.into_iter().find(|path| path.is_file()) {
+            let text = read_text(&path)?;
+            return Calibration::from_euroc_yaml(&text)
+                .map_err(|error| DatasetError::Calibration { error, path });
+        }
+        let kitti = folder.join("calib.txt");
+        if self == Self::Kitti && kitti.is_file() {
+            return read_kitti_calibration(&kitti, image_size_px);
+        }
+        Err(DatasetError::NoCalibration {
+            expected: match self {
+                Self::TumRgbd => "camera.yaml, sensor.yaml (fields of EuRoC's sensor.yaml)",
+                Self::Euroc => "mav0/cam0/sensor.yaml, camera.yaml",
+                Self::Kitti => "camera.yaml, sensor.yaml, calib.txt (with P0)",
+            },
+            folder: folder.to_owned(),
+        })
+    }
+}
+
+/// The folder of the first camera: users name the recording or its `mav0`.
+fn euroc_camera(folder: &Path) -> PathBuf {
+    let nested = folder.join("mav0/cam0");
+    if nested.is_dir() {
+        nested
+    } else {
+        folder.join("cam0")
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, DatasetError> {
+    fs::read_to_string(path).map_err(|error| DatasetError::Unreadable {
+        error,
+        path: path.to_owned(),
+    })
+}
+
+/// Reads a list with one image a line; `#` starts a comment.
+fn read_list(
+    list: &Path,
+    read_line: impl Fn(&str) -> Result<(Timestamp, PathBuf), String>,
+) -> Result<Vec<FrameEntry>, DatasetError> {
+    let text = read_text(list)?;
+    let mut frames: Vec<FrameEntry> = Vec::new();
+    for (line_idx, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let previous = frames.last().map(|frame| frame.captured_at);
+        let (captured_at, path) = read_line(line)
+            .and_then(|(captured_at, path)| {
+                check_increasing(previous, captured_at).map(|()| (captured_at, path))
+            })
+            .map_err(|reason| DatasetError::Line {
+                reason,
+                path: list.to_owned(),
+                line: line_idx + 1,
+            })?;
+        frames.push(FrameEntry {
+            frame_idx: frames.len(),
+            captured_at,
+            path,
+        });
+    }
+    Ok(frames)
+}
+
+fn check_increasing(previous: Option<Timestamp>, captured_at: Timestamp) -> Result<(), String> {
+    match previous {
+        Some(previous) if captured_at <= previous => Err(format!(
+            "time stamp {captured_at} is not after the one before, {previous}"
+        )),
+        _ => Ok(()),
+    }
+}
+
+fn read_tum_line(folder: &Path, line: &str) -> Result<(Timestamp, PathBuf), String> {
+    let (stamp, name) = line
+        .split_once(char::is_whitespace)
+        .ok_or_else(|| format!("expected `timestamp path`, got {line:?}"))?;
+    let captured_at =
+        parse_seconds(stamp).ok_or_else(|| format!("{stamp:?} is no time stamp in seconds"))?;
+    Ok((captured_at, folder.join(name.trim())))
+}
+
+fn read_euroc_line(images: &Path, line: &str) -> Result<(Timestamp, PathBuf), String> {
+    let (stamp, name) = line
+        .split_once(',')
+        .ok_or_else(|| format!("expected `timestamp,name`, got {line:?}"))?;
+    let nanoseconds = stamp
+        .trim()
+        .parse()
+        .map_err(|_| format!("{stamp:?} is no time stamp in nanoseconds"))?;
+    Ok((
+        Timestamp::from_nanoseconds(nanoseconds),
+        images.join(name.trim()),
+    ))
+}
+
+fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
+    let images = folder.join("image_0");
+    let unreadable = |error| DatasetError::Unreadable {
+        error,
+        path: images.clone(),
+    };
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(&images).map_err(unreadable)? {
+        paths.push(entry.map_err(unreadable)?.path());
+    }
+    paths.sort();
+    let times = folder.join("times.txt");
+    let mut frames = read_list(&times, |line| {
+        let captured_at =
+            parse_seconds(line).ok_or_else(|| format!("{line:?} is no time stamp in seconds"))?;
+        Ok((captured_at, PathBuf::new()))
+    })?;
+    if frames.len() != paths.len() {
+        return Err(DatasetError::Line {
+            reason: format!(
+                "{} time stamps for {} files in image_0",
+                frames.len(),
+                paths.len()
+            ),
+            path: times,
+            line: frames.len(),
+        });
+    }
+    for (frame, path) in frames.iter_mut().zip(paths) {
+        frame.path = path;
+    }
+    Ok(frames)
+}
+
+/// Reads the line `P0:` of a KITTI `calib.txt`: a 3×4 projection matrix, row by row.
+fn read_kitti_calibration(
+    path: &Path,
+    (width, height): (usize, usize),
+) -> Result<Calibration, DatasetError> {
+    let text = read_text(path)?;
+    let refused = |reason: String, line| DatasetError::Line {
+        reason,
+        path: path.to_owned(),
+        line,
+    };
+    let (line_idx, numbers) = text
+        .lines()
+        .enumerate()
+        .find_map(|(line_idx, line)| Some((line_idx, line.strip_prefix("P0:")?)))
+        .ok_or_else(|| refused("no line `P0:`".to_owned(), 1))?;
+    let numbers: Vec<f64> = numbers
+        .split_whitespace()
+        .map_while(|number| number.parse().ok())
+        .collect();
+    let &[fx, _, cx, _, _, fy, cy, ..] = numbers.as_slice() else {
+        let reason = format!("P0 has {} numbers, expected 12", numbers.len());
+        return Err(refused(reason, line_idx + 1));
+    };
+    let intrinsics = Intrinsics { fx, fy, cx, cy };
+    let camera =
+        CameraModel::new(width, height, intrinsics, Distortion::None).map_err(|error| {
+            DatasetError::Calibration {
+                error: CalibrationError::Implausible(error),
+                path: path.to_owned(),
+            }
+        })?;
+    Ok(Calibration::looking_forward(camera))
+}

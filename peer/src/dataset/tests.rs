@@ -1,0 +1,298 @@
+use std::fs;
+use std::path::Path;
+
+use tempfile::TempDir;
+
+use super::*;
+
+const CAMERA: &str = "intrinsics: [30, 30, 16, 12]\nresolution: [32, 24]\n";
+
+fn write(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) {
+    let path = folder.join(name);
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+fn png_bytes(
+    size: (u32, u32),
+    color: png::ColorType,
+    depth: png::BitDepth,
+    pixels: &[u8],
+) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, size.0, size.1);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(pixels).unwrap();
+    writer.finish().unwrap();
+    bytes
+}
+
+fn grey_png(width: u32, height: u32, shade: u8) -> Vec<u8> {
+    let pixels = vec![shade; (width * height) as usize];
+    png_bytes(
+        (width, height),
+        png::ColorType::Grayscale,
+        png::BitDepth::Eight,
+        &pixels,
+    )
+}
+
+/// Four frames of growing shade in TUM RGB-D layout.
+fn tum_folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut list = "# timestamp filename\n".to_owned();
+    for idx in 0..4_u8 {
+        list += &format!("{idx}.100000 rgb/{idx}.png\n");
+        write(
+            folder.path(),
+            &format!("rgb/{idx}.png"),
+            grey_png(32, 24, 10 * idx),
+        );
+    }
+    write(folder.path(), "rgb.txt", list);
+    write(folder.path(), "camera.yaml", CAMERA);
+    folder
+}
+
+fn open(folder: &Path, range: &str) -> Result<Dataset, DatasetError> {
+    let text = format!("{}{range}", folder.display());
+    Dataset::open(&text.parse().unwrap())
+}
+
+fn refusal(folder: &Path) -> String {
+    open(folder, "").unwrap_err().to_string()
+}
+
+fn shades(mut camera: DatasetCamera) -> Vec<(usize, i64, u8)> {
+    std::iter::from_fn(|| camera.next_event())
+        .filter_map(|event| match event {
+            CameraEvent::Frame(frame) => Some((
+                frame.frame_idx,
+                frame.captured_at.nanoseconds(),
+                frame.image.get(5, 5),
+            )),
+            CameraEvent::Unreadable { .. } => None,
+        })
+        .collect()
+}
+
+#[test]
+fn reads_a_part_of_a_tum_folder_the_same_way_inline_and_ahead() {
+    let folder = tum_folder();
+    let expected = vec![(1, 1_100_000_000, 10), (2, 2_100_000_000, 20)];
+    let dataset = open(folder.path(), "@1..3").unwrap();
+    assert_eq!(dataset.layout(), Layout::TumRgbd);
+    assert_eq!(dataset.calibration().camera.width(), 32);
+    assert_eq!(shades(DatasetCamera::inline(dataset.clone())), expected);
+    assert_eq!(shades(DatasetCamera::decoding_ahead(dataset)), expected);
+}
+
+#[test]
+fn a_reader_may_stop_early_while_decoding_runs_ahead() {
+    let folder = tum_folder();
+    let mut camera = DatasetCamera::decoding_ahead(open(folder.path(), "").unwrap());
+    assert!(camera.next_event().is_some());
+    drop(camera);
+}
+
+#[test]
+fn ranges_are_half_open_and_their_ends_may_be_left_out() {
+    let folder = tum_folder();
+    let check = |range: &str, expected: &[usize]| {
+        let dataset = open(folder.path(), range).unwrap();
+        let got: Vec<usize> = dataset
+            .frames()
+            .iter()
+            .map(|frame| frame.frame_idx)
+            .collect();
+        assert_eq!(got, expected, "{range}");
+    };
+    check("", &[0, 1, 2, 3]);
+    check("@1..3", &[1, 2]);
+    check("@2..", &[2, 3]);
+    check("@..2", &[0, 1]);
+    check("@3..99", &[3]);
+    for malformed in ["x@3..3", "x@3..1", "x@-1..2", "x@a..b", "x@1...3"] {
+        assert!(malformed.parse::<DatasetArgument>().is_err(), "{malformed}");
+    }
+    let with_at: DatasetArgument = "some@folder".parse().unwrap();
+    assert_eq!(
+        (with_at.folder, with_at.range),
+        ("some@folder".into(), None)
+    );
+    let error = open(folder.path(), "@9..12").unwrap_err().to_string();
+    assert!(
+        error.starts_with("frames 9..12 of a recording of 4"),
+        "{error}"
+    );
+}
+
+#[test]
+fn refuses_recordings_that_cannot_be_used_and_says_why() {
+    let check = |break_it: &dyn Fn(&Path), expected: &str| {
+        let folder = tum_folder();
+        break_it(folder.path());
+        let error = refusal(folder.path());
+        assert!(
+            error.contains(expected),
+            "got {error:?}, expected {expected:?}"
+        );
+    };
+    check(
+        &|path| fs::remove_file(path.join("rgb.txt")).unwrap(),
+        "none of rgb.txt",
+    );
+    check(
+        &|path| write(path, "rgb.txt", "rgb/0.png\n"),
+        "expected `timestamp path`",
+    );
+    check(
+        &|path| write(path, "rgb.txt", "a rgb/0.png\n"),
+        "no time stamp in seconds",
+    );
+    check(
+        &|path| write(path, "rgb.txt", "# none\n"),
+        "lists no images",
+    );
+    check(
+        &|path| write(path, "rgb.txt", "2 rgb/0.png\n2 rgb/1.png\n"),
+        "time stamp 2.000000000 is not after the one before, 2.000000000",
+    );
+    check(
+        &|path| write(path, "rgb.txt", b"\xff\xfe\x00"),
+        "cannot read",
+    );
+    check(
+        &|path| fs::remove_file(path.join("camera.yaml")).unwrap(),
+        "no calibration",
+    );
+    check(
+        &|path| write(path, "camera.yaml", "hello"),
+        "calibration refused",
+    );
+    check(
+        &|path| write(path, "camera.yaml", CAMERA.replace("[32, 24]", "[64, 48]")),
+        "the calibration is for 64×48, the image has 32×24",
+    );
+    check(
+        &|path| (0..4).for_each(|idx| write(path, &format!("rgb/{idx}.png"), "no image")),
+        "none of the 4 images can be decoded; the first: neither PNG nor JPEG",
+    );
+    assert!(refusal(Path::new("/no/such/folder")).contains("no such folder"));
+    assert!(refusal(Path::new(file!())).contains("no such folder"));
+}
+
+#[test]
+fn images_that_do_not_decode_are_skipped_and_named() {
+    let folder = tum_folder();
+    let whole = grey_png(32, 24, 9);
+    write(folder.path(), "rgb/0.png", &whole[..whole.len() / 2]);
+    write(folder.path(), "rgb/2.png", grey_png(16, 12, 9));
+    fs::remove_file(folder.path().join("rgb/3.png")).unwrap();
+    let mut camera = DatasetCamera::inline(open(folder.path(), "").unwrap());
+    let mut unreadable = Vec::new();
+    while let Some(event) = camera.next_event() {
+        if let CameraEvent::Unreadable { error, .. } = event {
+            unreadable.push(error.to_string());
+        }
+    }
+    assert_eq!(unreadable.len(), 3);
+    assert!(unreadable[0].contains("damaged PNG"), "{}", unreadable[0]);
+    assert!(
+        unreadable[1].contains("image of 16×12"),
+        "{}",
+        unreadable[1]
+    );
+    assert!(
+        unreadable[2].contains("cannot read the file"),
+        "{}",
+        unreadable[2]
+    );
+    assert!(unreadable[2].ends_with("rgb/3.png"), "{}", unreadable[2]);
+}
+
+#[test]
+fn decodes_every_kind_of_png_to_grey() {
+    use png::{BitDepth, ColorType};
+    let check = |color, depth, pixel: &[u8], expected: u8| {
+        let image = decode_grey(&png_bytes((2, 1), color, depth, &pixel.repeat(2))).unwrap();
+        assert_eq!(image.pixels(), [expected; 2], "{color:?} {depth:?}");
+    };
+    check(ColorType::Grayscale, BitDepth::Eight, &[77], 77);
+    check(ColorType::Grayscale, BitDepth::Sixteen, &[77, 200], 77);
+    check(ColorType::GrayscaleAlpha, BitDepth::Eight, &[77, 3], 77);
+    check(ColorType::Rgb, BitDepth::Eight, &[255, 0, 0], 77);
+    check(ColorType::Rgba, BitDepth::Eight, &[0, 0, 255, 9], 29);
+    check(
+        ColorType::Rgb,
+        BitDepth::Sixteen,
+        &[255, 1, 255, 2, 255, 3],
+        255,
+    );
+}
+
+/// A grey baseline JPEG of 16×8 pixels, black on the left, white on the right.
+const JPEG: &[u8] = include_bytes!("tests/grey_16x8.jpg");
+
+#[test]
+fn decodes_jpeg_and_refuses_every_truncation() {
+    let image = decode_grey(JPEG).unwrap();
+    assert_eq!((image.width(), image.height()), (16, 8));
+    assert_eq!(image_size(JPEG).unwrap(), (16, 8));
+    assert!(image.get(2, 4) < 60 && image.get(13, 4) > 200, "{image:?}");
+    for length in 0..JPEG.len() {
+        assert!(decode_grey(&JPEG[..length]).is_err(), "{length} bytes");
+    }
+    let png = grey_png(32, 24, 7);
+    for length in 0..png.len() - 12 {
+        assert!(decode_grey(&png[..length]).is_err(), "{length} bytes");
+    }
+}
+
+#[test]
+fn reads_euroc_and_kitti_folders() {
+    let euroc = tempfile::tempdir().unwrap();
+    write(
+        euroc.path(),
+        "mav0/cam0/data.csv",
+        "#timestamp [ns],filename\r\n1403636579763555584,1403636579763555584.png\r\n",
+    );
+    write(
+        euroc.path(),
+        "mav0/cam0/data/1403636579763555584.png",
+        grey_png(32, 24, 7),
+    );
+    write(euroc.path(), "mav0/cam0/sensor.yaml", CAMERA);
+    let dataset = open(euroc.path(), "").unwrap();
+    assert_eq!(dataset.layout(), Layout::Euroc);
+    assert_eq!(
+        dataset.frames()[0].captured_at.nanoseconds(),
+        1_403_636_579_763_555_584
+    );
+    assert_eq!(shades(DatasetCamera::inline(dataset))[0].2, 7);
+
+    let kitti = tempfile::tempdir().unwrap();
+    write(kitti.path(), "times.txt", "0.000000e+00\n1.037359e-01\n");
+    write(
+        kitti.path(),
+        "calib.txt",
+        "P0: 30 0 16 0 0 31 12 0 0 0 1 0\n",
+    );
+    write(kitti.path(), "image_0/000000.png", grey_png(32, 24, 1));
+    write(kitti.path(), "image_0/000001.png", grey_png(32, 24, 2));
+    let dataset = open(kitti.path(), "").unwrap();
+    assert_eq!(dataset.layout(), Layout::Kitti);
+    assert_eq!(dataset.calibration().camera.intrinsics().fy, 31.0);
+    assert_eq!(
+        shades(DatasetCamera::inline(dataset))[1],
+        (1, 103_735_900, 2)
+    );
+    write(kitti.path(), "calib.txt", "P0: 30 0\n");
+    assert!(refusal(kitti.path()).contains("P0 has 2 numbers"));
+    write(kitti.path(), "times.txt", "0.0\n");
+    assert!(refusal(kitti.path()).contains("1 time stamps for 2 files"));
+    write(kitti.path(), "film.mp4", "");
+    assert!(refusal(&kitti.path().join("film.mp4")).contains("not supported yet"));
+}

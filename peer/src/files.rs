@@ -1,0 +1,35 @@
+//! Files that other tools read and write: trajectories and point clouds.
+
+mod stamp;
+mod tum;
+
+use std::path::PathBuf;
+
+pub use stamp::parse_seconds;
+pub use tum::{StampedPose, format_tum_line, parse_tum_line, read_tum, write_tum};
+
+/// Why a file is not read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    #[error("cannot read: {error}: {path}")]
+    Read {
+        error: std::io::Error,
+        path: PathBuf,
+    },
+    #[error("cannot write: {error}: {path}")]
+    Write {
+        error: std::io::Error,
+        path: PathBuf,
+    },
+    #[error("{reason} at {path}:{line}")]
+    Line {
+        reason: String,
+        path: PathBuf,
+        line: usize,
+    },
+    #[error("{reason}: {path}")]
+    Content { reason: String, path: PathBuf },
+}
+
+#[cfg(test)]
+mod tests;
