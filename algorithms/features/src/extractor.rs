@@ -3,7 +3,14 @@
 use camera::Image;
 use nalgebra::Vector2;
 
-use crate::{Descriptor, Features, Keypoint};
+use crate::blur::Blur;
+use crate::corners::{Corner, CornerFinder};
+use crate::pattern::{PATCH_RADIUS_PX, TurnedPattern};
+use crate::plane::Plane;
+use crate::pyramid::{Pyramid, PyramidShape};
+use crate::simd::InstructionSet;
+use crate::spread::{self, RatedCorner};
+use crate::{Features, Keypoint, orientation};
 
 /// What an [`Extractor`] looks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,15 +39,39 @@ impl Default for ExtractorSettings {
     }
 }
 
+/// Distance of a corner's pixel from the border of its level.
+const MARGIN_PX: usize = PATCH_RADIUS_PX + 1;
+
 /// Finds features; keeps its buffers from image to image.
 #[derive(Clone, Debug)]
 pub struct Extractor {
     settings: ExtractorSettings,
+    instructions: InstructionSet,
+    pyramid: Pyramid,
+    finder: CornerFinder,
+    blur: Blur,
+    pattern: TurnedPattern,
+    /// Corners of all levels, one list each.
+    corners: Vec<Vec<Corner>>,
+    strongest: Vec<u8>,
+    rated: Vec<RatedCorner>,
+    smooth: Plane,
 }
 
 impl Extractor {
     pub fn new(settings: ExtractorSettings) -> Self {
-        Self { settings }
+        Self {
+            settings,
+            instructions: InstructionSet::detect(),
+            pyramid: Pyramid::default(),
+            finder: CornerFinder::default(),
+            blur: Blur::default(),
+            pattern: TurnedPattern::default(),
+            corners: vec![Vec::new(); settings.level_count],
+            strongest: Vec::new(),
+            rated: Vec::new(),
+            smooth: Plane::default(),
+        }
     }
 
     pub fn settings(&self) -> &ExtractorSettings {
@@ -49,90 +80,77 @@ impl Extractor {
 
     /// Full-resolution pixels per pixel of this level.
     pub fn level_scale(&self, level: u8) -> f64 {
-        self.settings.scale_factor.powi(i32::from(level))
+        self.shape().scale(usize::from(level))
     }
 
     /// Replaces `features` by those of the image.
     pub fn extract(&mut self, image: &Image, features: &mut Features) {
         features.clear();
-        let mut candidates = corners(image, self.settings.corner_threshold_min);
-        candidates.sort_by(|a, b| b.response.total_cmp(&a.response));
-        candidates.truncate(self.settings.feature_count);
-        for keypoint in candidates {
-            features.descriptors.push(describe(image, &keypoint));
-            features.keypoints.push(keypoint);
+        self.pyramid.build(self.instructions, image, &self.shape());
+        for level in 0..self.pyramid.levels().len() {
+            self.find_corners(level);
+        }
+        let mut wanted = self.settings.feature_count;
+        for level in (0..self.pyramid.levels().len()).rev() {
+            let share = self.share(level);
+            let quota = (wanted as f64 * share).round() as usize;
+            let before = features.len();
+            self.describe_level(level, quota, features);
+            wanted -= features.len() - before;
         }
     }
-}
 
-const RING: [(isize, isize); 16] = [
-    (0, -3),
-    (1, -3),
-    (2, -2),
-    (3, -1),
-    (3, 0),
-    (3, 1),
-    (2, 2),
-    (1, 3),
-    (0, 3),
-    (-1, 3),
-    (-2, 2),
-    (-3, 1),
-    (-3, 0),
-    (-3, -1),
-    (-2, -2),
-    (-1, -3),
-];
+    /// Part of the features of levels 0 to `level` that this level should give.
+    fn share(&self, level: usize) -> f64 {
+        let shrink = 1.0 / self.settings.scale_factor;
+        let total: f64 = (0..=level).map(|level| shrink.powi(level as i32)).sum();
+        shrink.powi(level as i32) / total
+    }
 
-fn corners(image: &Image, threshold: u8) -> Vec<Keypoint> {
-    let mut found = Vec::new();
-    for y in (20..image.height().saturating_sub(20)).step_by(2) {
-        for x in (20..image.width().saturating_sub(20)).step_by(2) {
-            let centre = i32::from(image.get(x, y));
-            let ring = RING.map(|(dx, dy)| {
-                i32::from(image.get(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))) - centre
+    fn shape(&self) -> PyramidShape {
+        PyramidShape {
+            finest_scale: 1.0,
+            scale_factor: self.settings.scale_factor,
+            level_count_max: self.settings.level_count,
+            side_px_min: 2 * MARGIN_PX + 8,
+        }
+    }
+
+    fn find_corners(&mut self, level: usize) {
+        let plane = &self.pyramid.levels()[level];
+        let corners = &mut self.corners[level];
+        corners.clear();
+        let threshold = self.settings.corner_threshold_min;
+        self.finder
+            .find(self.instructions, plane, MARGIN_PX, threshold, corners);
+        let threshold = self.settings.corner_threshold;
+        spread::keep_strong_or_only(plane, threshold, &mut self.strongest, corners);
+    }
+
+    fn describe_level(&mut self, level: usize, quota: usize, features: &mut Features) {
+        let plane = &self.pyramid.levels()[level];
+        spread::keep_spread(plane, &self.corners[level], quota, &mut self.rated);
+        if self.rated.is_empty() {
+            return;
+        }
+        self.blur.smooth(self.instructions, plane, &mut self.smooth);
+        self.pattern.prepare(plane.stride());
+        let scale = self.level_scale(level as u8);
+        for RatedCorner {
+            corner, structure, ..
+        } in &self.rated
+        {
+            let (x, y) = (usize::from(corner.x), usize::from(corner.y));
+            let angle_rad = orientation::angle_rad(plane, x, y);
+            let descriptor = self.pattern.describe(&self.smooth, x, y, angle_rad);
+            let position = Vector2::new(x as f64, y as f64) + structure.shift_px;
+            features.descriptors.push(descriptor);
+            features.keypoints.push(Keypoint {
+                position_px: (position.add_scalar(0.5) * scale).add_scalar(-0.5),
+                level: level as u8,
+                angle_rad,
+                response: structure.response,
             });
-            let arc = |sign: i32| {
-                (0..16)
-                    .map(|k| (0..9).map(|i| sign * ring[(k + i) % 16]).min().unwrap_or(0))
-                    .max()
-                    .unwrap_or(0)
-            };
-            let score = arc(1).max(arc(-1));
-            if score > i32::from(threshold) {
-                found.push(Keypoint {
-                    position_px: Vector2::new(x as f64, y as f64),
-                    level: 0,
-                    angle_rad: 0.0,
-                    response: score as f32,
-                });
-            }
         }
     }
-    found
-}
-
-fn describe(image: &Image, keypoint: &Keypoint) -> Descriptor {
-    let (x, y) = (
-        keypoint.position_px.x as usize,
-        keypoint.position_px.y as usize,
-    );
-    let mut state = 1_u64;
-    let mut offset = || {
-        state = state
-            .wrapping_mul(6364136223846793005)
-            .wrapping_add(1442695040888963407);
-        ((state >> 33) % 27) as usize
-    };
-    let mut words = [0_u64; 4];
-    for bit in 0..256 {
-        let mut sample = || {
-            let (u, v) = (x + offset() - 13, y + offset() - 13);
-            (0..9)
-                .map(|i| u32::from(image.get(u + i % 3 - 1, v + i / 3 - 1)))
-                .sum::<u32>()
-        };
-        words[bit / 64] |= u64::from(sample() < sample()) << (bit % 64);
-    }
-    Descriptor(words)
 }

@@ -1,10 +1,19 @@
 #![doc = include_str!("../README.md")]
 
+mod blur;
+mod corners;
 mod descriptor;
 mod extractor;
 mod grid;
 mod keypoint;
 pub mod matching;
+mod orientation;
+mod pattern;
+mod plane;
+mod pyramid;
+mod simd;
+mod spread;
+mod structure;
 
 pub use descriptor::Descriptor;
 pub use extractor::{Extractor, ExtractorSettings};
