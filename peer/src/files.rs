@@ -1,10 +1,15 @@
 //! Files that other tools read and write: trajectories and point clouds.
 
+mod cloud;
+mod pcd;
+mod ply;
 mod stamp;
 mod tum;
+mod xyz;
 
 use std::path::PathBuf;
 
+pub use cloud::{PointCloud, read_cloud, write_cloud};
 pub use stamp::parse_seconds;
 pub use tum::{StampedPose, format_tum_line, parse_tum_line, read_tum, write_tum};
 

@@ -37,3 +37,29 @@ pub fn start_log() {
     // Fails only when a test has already installed one, which is then used.
     let _ = tracing::subscriber::set_global_default(subscriber);
 }
+
+/// A progress bar on stderr, drawn only on a terminal.
+pub struct Progress {
+    bar: indicatif::ProgressBar,
+}
+
+impl Progress {
+    /// - `what`: the word before the bar.
+    pub fn start(what: &'static str, length: u64) -> Self {
+        let bar = indicatif::ProgressBar::new(length);
+        let template = "{prefix} [{wide_bar}] {pos}/{len} {eta}";
+        if let Ok(style) = indicatif::ProgressStyle::with_template(template) {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        bar.set_prefix(what);
+        Self { bar }
+    }
+
+    pub fn advance(&self, step: u64) {
+        self.bar.inc(step);
+    }
+
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}

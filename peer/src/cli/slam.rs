@@ -1,33 +1,274 @@
-//! `starling slam`.
+//! `starling slam`: monocular vSLAM over a recording.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-use super::Exit;
+use geometry::{Map, Timestamp};
+use serde::Serialize;
+use vslam::{MapId, TrackingState, Vslam, VslamMap, VslamSettings};
+
+use super::output::{self, Progress};
+use super::{Exit, UsageError};
+use crate::dataset::{
+    Camera, CameraEvent, Dataset, DatasetArgument, DatasetCamera, FrameRange, UnreadableImage,
+};
+use crate::files::{self, PointCloud, StampedPose};
 
 #[derive(clap::Args)]
 pub struct SlamArguments {
-    /// A recording in TUM RGB-D layout, with `camera.yaml` beside it.
-    pub dataset: String,
-    /// The trajectory after all corrections.
+    /// A recording in TUM RGB-D, EuRoC or KITTI layout, `DATASET[@A..B]`.
+    pub dataset: DatasetArgument,
+    /// The trajectory after all corrections (TUM: map_from_camera).
     #[arg(long)]
     pub out: PathBuf,
-    /// The map's points.
+    /// The map's points: PLY with descriptors, PCD or XYZ.
     #[arg(long)]
     pub map: Option<PathBuf>,
     /// Half-open range of frame numbers.
     #[arg(long, value_name = "A..B")]
-    pub frames: Option<String>,
+    pub frames: Option<FrameRange>,
     /// Pace by the stamps and drop late frames.
     #[arg(long)]
     pub realtime: bool,
     /// With one thread the result is deterministic.
-    #[arg(long, default_value_t = 1)]
-    pub threads: usize,
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: u16,
     /// Print one JSON object.
     #[arg(long)]
     pub json: bool,
 }
 
-pub fn run(_arguments: &SlamArguments) -> anyhow::Result<Exit> {
-    super::later::not_built("slam")
+/// What a run did; the names are those of the command line's contract.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct SlamSummary {
+    frames: usize,
+    tracked: usize,
+    tracked_live: usize,
+    dropped: usize,
+    keyframes: usize,
+    points: usize,
+    lost: usize,
+    ms_per_frame_p50: Option<f64>,
+    ms_per_frame_p99: Option<f64>,
+    peak_rss_bytes: Option<u64>,
 }
+
+pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
+    let dataset = Dataset::open(&chosen_frames(arguments)?)?;
+    let frame_count = dataset.frames().len();
+    let vslam = Vslam::new(
+        dataset.calibration().camera.clone(),
+        VslamSettings::default(),
+    );
+    let camera = if arguments.threads > 1 {
+        DatasetCamera::decoding_ahead(dataset)
+    } else {
+        DatasetCamera::inline(dataset)
+    };
+    let progress = Progress::start("slam", frame_count as u64);
+    let mut drive = Drive::new(vslam, arguments.realtime.then(Pace::default));
+    drive.run_through(camera, &progress);
+    progress.finish();
+
+    let trajectory = largest_trajectory(&drive.vslam);
+    let tracked = trajectory.len();
+    files::write_tum(&arguments.out, trajectory)?;
+    let map = drive.vslam.largest_map();
+    if let Some(path) = &arguments.map {
+        files::write_cloud(path, &map_points(map))?;
+    }
+    let summary = drive.summarise(frame_count, tracked);
+    if arguments.json {
+        output::print_json(&summary)?;
+    } else {
+        print_summary(&summary);
+    }
+    Ok(drive.exit(frame_count))
+}
+
+/// The dataset with the range of either form; giving both is a contradiction.
+fn chosen_frames(arguments: &SlamArguments) -> Result<DatasetArgument, UsageError> {
+    let mut dataset = arguments.dataset.clone();
+    if dataset.range.is_some() && arguments.frames.is_some() {
+        return Err(UsageError(
+            "give the frames once: DATASET@A..B or --frames A..B".to_owned(),
+        ));
+    }
+    dataset.range = dataset.range.or(arguments.frames);
+    Ok(dataset)
+}
+
+/// When frames are due if the recording plays at its own speed.
+#[derive(Default)]
+struct Pace {
+    first: Option<(Instant, Timestamp)>,
+}
+
+impl Pace {
+    fn due(&mut self, captured_at: Timestamp) -> Instant {
+        let (start, first_captured_at) = *self.first.get_or_insert((Instant::now(), captured_at));
+        start + captured_at.since(first_captured_at)
+    }
+}
+
+/// The machine, fed by a camera, and what is counted on the way.
+struct Drive {
+    vslam: Vslam,
+    pace: Option<Pace>,
+    processing: Vec<Duration>,
+    tracked_live: usize,
+    lost: usize,
+    dropped: usize,
+    unreadable_count: usize,
+    first_unreadable: Option<UnreadableImage>,
+}
+
+impl Drive {
+    fn new(vslam: Vslam, pace: Option<Pace>) -> Self {
+        Self {
+            vslam,
+            pace,
+            processing: Vec::new(),
+            tracked_live: 0,
+            lost: 0,
+            dropped: 0,
+            unreadable_count: 0,
+            first_unreadable: None,
+        }
+    }
+
+    fn run_through(&mut self, mut camera: impl Camera, progress: &Progress) {
+        // One event is looked ahead: at real time a frame is late once its successor is due.
+        let mut next = camera.next_event();
+        while let Some(event) = next {
+            next = camera.next_event();
+            let next_captured_at = next.as_ref().map(CameraEvent::captured_at);
+            self.take(event, next_captured_at);
+            progress.advance(1);
+        }
+    }
+
+    fn take(&mut self, event: CameraEvent, next_captured_at: Option<Timestamp>) {
+        let frame = match event {
+            CameraEvent::Frame(frame) => frame,
+            CameraEvent::Unreadable { error, .. } => {
+                self.unreadable_count += 1;
+                self.first_unreadable.get_or_insert(error);
+                return;
+            }
+        };
+        if let Some(pace) = &mut self.pace {
+            let due = pace.due(frame.captured_at);
+            let now = Instant::now();
+            if next_captured_at.is_some_and(|next| pace.due(next) <= now) {
+                self.dropped += 1;
+                return;
+            }
+            std::thread::sleep(due.saturating_duration_since(now));
+        }
+        let started = Instant::now();
+        let report = self.vslam.process(&frame.image, frame.captured_at);
+        self.processing.push(started.elapsed());
+        self.tracked_live += usize::from(report.map_from_camera.is_some());
+        self.lost += usize::from(matches!(report.state, TrackingState::Lost { .. }));
+    }
+
+    fn summarise(&self, frame_count: usize, tracked: usize) -> SlamSummary {
+        let map = self.vslam.largest_map();
+        let mut sorted = self.processing.clone();
+        sorted.sort();
+        SlamSummary {
+            frames: frame_count,
+            tracked,
+            tracked_live: self.tracked_live,
+            dropped: self.dropped,
+            keyframes: map.keyframe_count(),
+            points: map.point_count(),
+            lost: self.lost,
+            ms_per_frame_p50: percentile_ms(&sorted, 0.50),
+            ms_per_frame_p99: percentile_ms(&sorted, 0.99),
+            peak_rss_bytes: peak_rss_bytes(),
+        }
+    }
+
+    /// Tells what was lost on the way.
+    fn exit(&self, frame_count: usize) -> Exit {
+        match &self.first_unreadable {
+            Some(first) => {
+                output::diagnose(&format!(
+                    "warning: skipped {} of {frame_count} images; the first: {first}",
+                    self.unreadable_count
+                ));
+                Exit::DoneWithLoss
+            }
+            None => Exit::Done,
+        }
+    }
+}
+
+/// The poses of the map that holds the most of them: other maps have another scale and origin.
+fn largest_trajectory(vslam: &Vslam) -> Vec<StampedPose<Map>> {
+    let mut by_map: BTreeMap<MapId, Vec<StampedPose<Map>>> = BTreeMap::new();
+    for entry in vslam.trajectory() {
+        if let Some(map_from_camera) = entry.map_from_camera {
+            by_map.entry(entry.map_id).or_default().push(StampedPose {
+                captured_at: entry.captured_at,
+                target_from_camera: map_from_camera,
+            });
+        }
+    }
+    by_map.remove(&vslam.largest_map().id()).unwrap_or_default()
+}
+
+fn map_points(map: &VslamMap) -> PointCloud {
+    let points = map.points().map(|point| *point.position_in_map()).collect();
+    let descriptors = map.points().map(|point| *point.descriptor()).collect();
+    PointCloud {
+        points,
+        colors: None,
+        descriptors: registration::Descriptors::Binary(descriptors),
+    }
+}
+
+/// The nearest-rank percentile.
+fn percentile_ms(sorted: &[Duration], share: f64) -> Option<f64> {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    let duration = sorted.get(rank.saturating_sub(1))?;
+    Some(duration.as_secs_f64() * 1e3)
+}
+
+/// The most memory that this process ever held, where the system tells.
+fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kibibytes * 1024)
+}
+
+fn print_summary(summary: &SlamSummary) {
+    let SlamSummary {
+        frames,
+        tracked,
+        tracked_live,
+        dropped,
+        keyframes,
+        points,
+        lost,
+        ..
+    } = summary;
+    output::print_line(&format!(
+        "{tracked} of {frames} frames tracked ({tracked_live} live, {lost} lost, \
+         {dropped} dropped), {keyframes} keyframes, {points} points"
+    ));
+    if let (Some(p50), Some(p99)) = (summary.ms_per_frame_p50, summary.ms_per_frame_p99) {
+        output::print_line(&format!(
+            "{p50:.1} ms per frame, {p99:.1} ms at the 99th percentile"
+        ));
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -29,6 +29,15 @@ pub enum CameraEvent {
     },
 }
 
+impl CameraEvent {
+    pub fn captured_at(&self) -> Timestamp {
+        match self {
+            Self::Frame(frame) => frame.captured_at,
+            Self::Unreadable { captured_at, .. } => *captured_at,
+        }
+    }
+}
+
 /// A source of images in the order of their time stamps: a folder now, hardware later.
 pub trait Camera: Send {
     fn calibration(&self) -> &Calibration;

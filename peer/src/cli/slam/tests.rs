@@ -1,0 +1,117 @@
+use super::*;
+
+#[test]
+fn percentiles_are_nearest_ranks() {
+    let sorted: Vec<Duration> = (1..=100).map(Duration::from_millis).collect();
+    assert_eq!(percentile_ms(&sorted, 0.50), Some(50.0));
+    assert_eq!(percentile_ms(&sorted, 0.99), Some(99.0));
+    assert_eq!(percentile_ms(&sorted[..1], 0.99), Some(1.0));
+    assert_eq!(percentile_ms(&[], 0.5), None);
+}
+
+#[test]
+fn summary_has_the_names_of_the_contract() {
+    let drive = Drive::new(vslam_of(32, 24), None);
+    let json = serde_json::to_value(drive.summarise(0, 0)).unwrap();
+    let mut names: Vec<&str> = json
+        .as_object()
+        .unwrap()
+        .keys()
+        .map(String::as_str)
+        .collect();
+    names.sort_unstable();
+    let expected = [
+        "dropped",
+        "frames",
+        "keyframes",
+        "lost",
+        "ms_per_frame_p50",
+        "ms_per_frame_p99",
+        "peak_rss_bytes",
+        "points",
+        "tracked",
+        "tracked_live",
+    ];
+    assert_eq!(names, expected);
+    assert!(json["ms_per_frame_p50"].is_null());
+    assert!(json["peak_rss_bytes"].as_u64().unwrap() > 1 << 20);
+}
+
+fn vslam_of(width: usize, height: usize) -> Vslam {
+    let text = format!("intrinsics: [30, 30, 16, 12]\nresolution: [{width}, {height}]\n");
+    let calibration = camera::Calibration::from_euroc_yaml(&text).unwrap();
+    Vslam::new(calibration.camera, VslamSettings::default())
+}
+
+/// A recording in which every image is grey: nothing can be tracked, nothing may fail.
+fn grey_recording(folder: &std::path::Path, frame_count: usize) {
+    let mut list = String::new();
+    for idx in 0..frame_count {
+        list += &format!("0.{idx:03} {idx}.png\n");
+        let file = std::fs::File::create(folder.join(format!("{idx}.png"))).unwrap();
+        let mut encoder = png::Encoder::new(file, 32, 24);
+        encoder.set_color(png::ColorType::Grayscale);
+        let mut writer = encoder.write_header().unwrap();
+        writer.write_image_data(&[90; 32 * 24]).unwrap();
+    }
+    std::fs::write(folder.join("rgb.txt"), list).unwrap();
+    let camera = "intrinsics: [30, 30, 16, 12]\nresolution: [32, 24]\n";
+    std::fs::write(folder.join("camera.yaml"), camera).unwrap();
+}
+
+fn arguments(folder: &std::path::Path) -> SlamArguments {
+    SlamArguments {
+        dataset: folder.display().to_string().parse().unwrap(),
+        out: folder.join("out.tum"),
+        map: Some(folder.join("map.ply")),
+        frames: None,
+        realtime: false,
+        threads: 2,
+        json: true,
+    }
+}
+
+#[test]
+fn a_recording_without_texture_ends_with_an_empty_trajectory() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 5);
+    assert_eq!(run(&arguments(folder.path())).unwrap(), Exit::Done);
+    let text = std::fs::read_to_string(folder.path().join("out.tum")).unwrap();
+    assert_eq!(text, "");
+    assert!(folder.path().join("map.ply").is_file());
+}
+
+#[test]
+fn a_damaged_image_is_loss_and_not_failure() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 5);
+    std::fs::write(folder.path().join("2.png"), "no image").unwrap();
+    assert_eq!(run(&arguments(folder.path())).unwrap(), Exit::DoneWithLoss);
+}
+
+#[test]
+fn frames_are_chosen_once() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 5);
+    let mut arguments = arguments(folder.path());
+    arguments.dataset.range = Some("0..2".parse().unwrap());
+    assert_eq!(run(&arguments).unwrap(), Exit::Done);
+    arguments.frames = Some("0..2".parse().unwrap());
+    assert!(run(&arguments).unwrap_err().is::<UsageError>());
+}
+
+#[test]
+fn at_real_time_late_frames_are_dropped_and_early_ones_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 3);
+    // The second frame is over before it can be looked at, the third is 200 ms away.
+    let list = "0 0.png\n0.000000001 1.png\n0.2 2.png\n";
+    std::fs::write(folder.path().join("rgb.txt"), list).unwrap();
+    let dataset = Dataset::open(&arguments(folder.path()).dataset).unwrap();
+    let mut drive = Drive::new(vslam_of(32, 24), Some(Pace::default()));
+    let started = Instant::now();
+    let progress = Progress::start("slam", 3);
+    drive.run_through(DatasetCamera::inline(dataset), &progress);
+    assert!(started.elapsed() >= Duration::from_millis(200));
+    assert_eq!((drive.dropped, drive.processing.len()), (1, 2));
+}

@@ -1,0 +1,126 @@
+//! Point clouds, in whichever format their name says.
+
+use std::fs;
+use std::path::Path;
+
+use nalgebra::Vector3;
+use registration::{Cloud, Descriptors};
+
+use super::{FileError, pcd, ply, xyz};
+
+/// Points with what a file says about each of them.
+#[derive(Clone, Debug, Default)]
+pub struct PointCloud {
+    pub points: Vec<Vector3<f64>>,
+    /// Red, green, blue: none, or one for each point.
+    pub colors: Option<Vec<[u8; 3]>>,
+    /// None, or one for each point.
+    pub descriptors: Descriptors,
+}
+
+impl PointCloud {
+    pub fn from_points(points: Vec<Vector3<f64>>) -> Self {
+        Self {
+            points,
+            colors: None,
+            descriptors: Descriptors::None,
+        }
+    }
+
+    /// What registration needs of it; points that are not finite are dropped.
+    pub fn into_cloud(self) -> Cloud {
+        Cloud::new(self.points, self.descriptors)
+            .expect("the readers give one descriptor for each point")
+    }
+}
+
+/// The formats by the extension of a file's name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum CloudFormat {
+    Ply,
+    Pcd,
+    Text,
+}
+
+impl CloudFormat {
+    fn of(path: &Path) -> Result<Self, FileError> {
+        let extension = path.extension().unwrap_or_default().to_string_lossy();
+        match extension.to_ascii_lowercase().as_str() {
+            "ply" => Ok(Self::Ply),
+            "pcd" => Ok(Self::Pcd),
+            "xyz" | "csv" | "txt" => Ok(Self::Text),
+            _ => Err(FileError::Content {
+                reason: "expected a name that ends with .ply, .pcd, .xyz, .csv or .txt".to_owned(),
+                path: path.to_owned(),
+            }),
+        }
+    }
+}
+
+/// Reads PLY, PCD, or text with one point a line. A file without a point is refused.
+pub fn read_cloud(path: &Path) -> Result<PointCloud, FileError> {
+    let format = CloudFormat::of(path)?;
+    let bytes = fs::read(path).map_err(|error| FileError::Read {
+        error,
+        path: path.to_owned(),
+    })?;
+    let cloud = match format {
+        CloudFormat::Ply => ply::parse(&bytes),
+        CloudFormat::Pcd => pcd::parse(&bytes),
+        CloudFormat::Text => xyz::parse(&bytes),
+    }
+    .and_then(|cloud| {
+        if cloud.points.is_empty() {
+            Err(Refused::whole("holds no points"))
+        } else {
+            Ok(cloud)
+        }
+    });
+    cloud.map_err(|refused| refused.into_error(path))
+}
+
+/// Writes binary PLY, binary PCD, or text.
+pub fn write_cloud(path: &Path, cloud: &PointCloud) -> Result<(), FileError> {
+    let bytes = match CloudFormat::of(path)? {
+        CloudFormat::Ply => ply::format(cloud, ply::Encoding::BinaryLittleEndian),
+        CloudFormat::Pcd => pcd::format(cloud),
+        CloudFormat::Text => xyz::format(cloud),
+    };
+    fs::write(path, bytes).map_err(|error| FileError::Write {
+        error,
+        path: path.to_owned(),
+    })
+}
+
+/// What is wrong with a file's content, and in which line, before the path is known.
+#[derive(Debug, PartialEq)]
+pub(super) struct Refused {
+    reason: String,
+    line: Option<usize>,
+}
+
+impl Refused {
+    pub fn whole(reason: impl Into<String>) -> Self {
+        Self {
+            reason: reason.into(),
+            line: None,
+        }
+    }
+
+    /// - `line`: counted from one.
+    pub fn at(line: usize, reason: impl Into<String>) -> Self {
+        Self {
+            reason: reason.into(),
+            line: Some(line),
+        }
+    }
+
+    fn into_error(self, path: &Path) -> FileError {
+        let path = path.to_owned();
+        let reason = self.reason;
+        match self.line {
+            Some(line) => FileError::Line { reason, path, line },
+            None => FileError::Content { reason, path },
+        }
+    }
+}
