@@ -16,7 +16,7 @@ mod tests;
 
 pub use p3p::p3p;
 pub use ransac::{RansacSettings, ransac_absolute_pose};
-pub use refine::{RefineSettings, refine_absolute_pose};
+pub use refine::{RefineSettings, d_position_d_pose, refine_absolute_pose};
 
 /// The 95 % quantile of χ² with two degrees of freedom.
 pub const CHI_SQUARED_2_P95: f64 = 5.991;

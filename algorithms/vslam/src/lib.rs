@@ -2,10 +2,13 @@
 //!
 //! [`Vslam`] is the machine. It knows nothing of metres, of the Earth, or of other vehicles.
 
+mod block_cholesky;
+pub mod bundle;
 mod map;
 mod report;
 mod settings;
 mod slam;
+pub mod triangulation;
 
 pub use map::{Keyframe, KeyframeId, MapId, MapPoint, Observation, PointId, View, VslamMap};
 pub use report::{

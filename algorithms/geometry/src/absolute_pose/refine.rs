@@ -228,8 +228,9 @@ fn add_outer_product_lower(hessian: &mut Matrix6<f64>, row: &Vector6<f64>, weigh
     }
 }
 
-/// The rows of the derivative of `(x/z, y/z)` by `[ω; ν]` in `world_from_camera * exp([ω; ν])`.
-pub(super) fn d_position_d_pose(position: &Vector2<f64>, inverse_depth: f64) -> [Vector6<f64>; 2] {
+/// The rows of the derivative of `position`, which is `(x/z, y/z)`, by the `[ω; ν]` of
+/// `world_from_camera * exp([ω; ν])`.
+pub fn d_position_d_pose(position: &Vector2<f64>, inverse_depth: f64) -> [Vector6<f64>; 2] {
     let (u, v, w) = (position.x, position.y, inverse_depth);
     [
         Vector6::new(u * v, -(1.0 + u * u), v, -w, 0.0, u * w),

@@ -4,7 +4,6 @@ use nalgebra::{Vector2, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::refine::d_position_d_pose;
 use super::*;
 use crate::{Map, Transform};
 
