@@ -1,5 +1,7 @@
 //! The process on every vehicle, and the command line of `starling`.
 
 pub mod cli;
+pub mod config;
 pub mod dataset;
 pub mod files;
+pub mod link;
