@@ -1,35 +1,36 @@
 //! The place of the own map, with an honest covariance.
 
-use geometry::{Camera, Enu, Map, Matrix7, Similarity, Timestamp, Transform, so3};
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
+use geometry::{Camera, Enu, Map, Matrix7, Similarity, Timestamp, Transform};
+use nalgebra::{Matrix3, Matrix6};
 
-use super::types::AnchorIdx;
+use super::track::drift_covariance;
+use super::types::{AnchorIdx, DriftRates};
 
 /// Where the own map stands on the Earth.
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub enu_from_map: Similarity<Enu, Map>,
-    /// Over `[ω; ν; ln s]`, right perturbation; at the newest alignment.
+    /// Over `[ω; ν; ln s]`, right perturbation; at the newest keyframe.
     pub covariance: Matrix7,
     /// When the newest accepted keyframe was captured.
     pub captured_at: Timestamp,
     /// How long ago that was; zero for a clock that runs backwards.
     pub age_s: f64,
-    /// Where the camera was then.
-    pub aligned_position_in_map: Vector3<f64>,
+    /// The newest keyframe's pose: what the covariance refers to.
+    pub map_from_keyframe: Transform<Map, Camera>,
+    /// Median depth of the scene there, in the map's unit.
+    pub depth_in_map: f64,
     /// Keyframes accepted since the map was born.
     pub accepted_count: u64,
-    /// How often the estimate was replaced by one that contradicted it.
+    /// How often the estimate changed by more than its uncertainty explained.
     pub jump_count: u64,
     /// The anchors that the estimate rests on.
     pub anchors: Vec<AnchorIdx>,
     /// The anchors that contradict them and were left out.
     pub inconsistent_anchors: Vec<AnchorIdx>,
-    /// Two anchors contradict each other and nothing decides between them.
+    /// Anchors contradict each other and nothing decides between them.
     pub conflict: bool,
-    /// Variance that drift adds per unit of distance travelled in the map since the newest
-    /// alignment, relative to the distance.
-    pub(super) drift_per_length: f64,
+    pub(super) drift: DriftRates,
 }
 
 impl Estimate {
@@ -54,48 +55,33 @@ impl Estimate {
             .into_owned()
     }
 
-    /// The covariance of a camera's pose in the global frame: `[ω; p]` with the rotation vector
-    /// in the global axes [rad] and the position in the global frame [m].
+    /// The covariance of a camera's pose in the global frame: `[ω; p]`, the rotation vector
+    /// [rad] and the position [m] in the axes of the global frame.
+    ///
+    /// It grows with the distance between the camera and the newest keyframe.
     pub fn pose_covariance(
         &self,
         map_from_camera: &Transform<Map, Camera>,
         pose_covariance: Option<&Matrix6<f64>>,
     ) -> Matrix6<f64> {
-        // S exp(δ) x ≈ S x + s R (ω × x + ν + λ x).
-        let linear = self.enu_from_map.linear_matrix();
-        let rotation = linear / self.enu_from_map.scale();
-        let position = map_from_camera.translation();
-        let mut d_pose_d_delta = SMatrix::<f64, 6, 7>::zeros();
-        d_pose_d_delta
+        // S exp(δ) B = S B exp(Ad(B⁻¹) δ): first in the camera's axes and the map's unit.
+        let camera_from_map = Similarity::from(map_from_camera.inverse()).adjoint();
+        let keyframe = self.map_from_keyframe.translation();
+        let travelled = (map_from_camera.translation() - keyframe).norm();
+        let in_camera = camera_from_map * self.covariance * camera_from_map.transpose()
+            + drift_covariance(&self.drift, self.depth_in_map, travelled);
+        let mut covariance = in_camera.fixed_view::<6, 6>(0, 0).into_owned();
+        if let Some(pose_covariance) = pose_covariance {
+            covariance += pose_covariance;
+        }
+        let rotation = self.enu_from_camera(map_from_camera).rotation_matrix();
+        let mut enu_from_camera = Matrix6::zeros();
+        enu_from_camera
             .fixed_view_mut::<3, 3>(0, 0)
             .copy_from(&rotation);
-        d_pose_d_delta
-            .fixed_view_mut::<3, 3>(3, 0)
-            .copy_from(&(-linear * so3::hat(position)));
-        d_pose_d_delta
+        enu_from_camera
             .fixed_view_mut::<3, 3>(3, 3)
-            .copy_from(&linear);
-        d_pose_d_delta
-            .fixed_view_mut::<3, 1>(3, 6)
-            .copy_from(&(linear * position));
-        let mut covariance = d_pose_d_delta * self.covariance * d_pose_d_delta.transpose();
-        if let Some(pose_covariance) = pose_covariance {
-            let camera_axes = map_from_camera.rotation_matrix();
-            let mut d_pose_d_camera = Matrix6::zeros();
-            d_pose_d_camera
-                .fixed_view_mut::<3, 3>(0, 0)
-                .copy_from(&(rotation * camera_axes));
-            d_pose_d_camera
-                .fixed_view_mut::<3, 3>(3, 3)
-                .copy_from(&(linear * camera_axes));
-            covariance += d_pose_d_camera * pose_covariance * d_pose_d_camera.transpose();
-        }
-        let travelled = (position - self.aligned_position_in_map).norm();
-        let scale = self.enu_from_map.scale();
-        let drift = self.drift_per_length * (scale * travelled).powi(2);
-        for axis in 3..6 {
-            covariance[(axis, axis)] += drift;
-        }
-        covariance
+            .copy_from(&(rotation * self.enu_from_map.scale()));
+        enu_from_camera * covariance * enu_from_camera.transpose()
     }
 }

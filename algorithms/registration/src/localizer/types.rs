@@ -71,6 +71,16 @@ pub struct AlignmentReport {
     pub jumped: bool,
 }
 
+impl AlignmentReport {
+    pub(super) fn refused(refusal: Refusal) -> Self {
+        Self {
+            verdict: Verdict::Refused(refusal),
+            anchors: Vec::new(),
+            jumped: false,
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 pub struct AnchorReport {
     pub anchor: AnchorIdx,
@@ -137,14 +147,132 @@ impl fmt::Display for Refusal {
     }
 }
 
+/// How fast the alignment of two maps drifts, relative to the scene: standard deviations after
+/// a way as long as the scene is deep, growing with the root of the way.
+///
+/// Larger follows drift sooner and is less certain between alignments.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriftRates {
+    pub rotation_rad: f64,
+    /// Share of the scene's depth.
+    pub translation: f64,
+    pub log_scale: f64,
+}
+
+/// Standard deviations that are added to what the residuals promise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ErrorFloor {
+    pub rotation_rad: f64,
+    /// Share of the scene's depth.
+    pub translation: f64,
+    pub log_scale: f64,
+}
+
+/// How keyframes are located and believed.
+///
+/// Lengths are shares of the scene's depth or lie on the ideal image plane, because neither map
+/// has a metric scale.
 #[derive(Clone, Debug)]
 pub struct LocalizerSettings {
     /// The seed of all random draws.
     pub seed: u64,
+    /// Descriptor distances per keyframe while nothing is known. Higher searches more of a large
+    /// map at once and takes longer: about 25 ms for ten million.
+    pub search_distance_count_max: usize,
+    /// Bits that may differ in the search, and when the pose is predicted.
+    pub search_distance_max: u32,
+    pub predicted_distance_max: u32,
+    /// The best must be better than this share of the second best.
+    pub search_ratio_max: f64,
+    pub predicted_ratio_max: f64,
+    /// Samples drawn at most in the search, and when the pose is predicted.
+    pub search_iteration_count_max: usize,
+    pub predicted_iteration_count_max: usize,
+    /// Inliers that a pose needs in the search: lower finds more and more false ones.
+    pub search_inlier_count_min: usize,
+    /// Inliers that a located keyframe needs.
+    pub inlier_count_min: usize,
+    /// The share of the matches near their landmark that must be inliers.
+    pub inlier_share_min: f64,
+    /// A second pose with this share of the best one's inliers makes the search ambiguous.
+    pub rival_share_max: f64,
+    /// Cells of a 4×4 grid over the image that must hold inliers.
+    pub occupied_cell_count_min: usize,
+    /// Landmark error assumed before a pose is known, on the ideal plane.
+    pub search_slack: f64,
+    /// How far from its landmark a feature may be once the pose is known, on the ideal plane.
+    pub refine_radius: f64,
+    /// Least and largest radius of the search around a predicted pose, on the ideal plane.
+    pub predicted_radius_min: f64,
+    pub predicted_radius_max: f64,
+    /// Points known to both maps that a scale needs.
+    pub depth_pair_count_min: usize,
+    /// Least standard deviation of the logarithm of a depth ratio.
+    pub depth_ratio_sigma_min: f64,
+    /// Keyframes that must agree before the first alignment, and their inliers together.
+    pub first_keyframe_count: usize,
+    pub first_inlier_count: usize,
+    /// Keyframes that must agree with each other to overrule an alignment.
+    pub switch_keyframe_count: usize,
+    /// Keyframes in the sliding window: more is calmer, fewer forgets drift sooner.
+    pub window_keyframe_count: usize,
+    /// Squared difference per degree of freedom above which a keyframe contradicts.
+    pub disagreement_max: f64,
+    /// The same between anchors.
+    pub anchor_disagreement_max: f64,
+    /// Keyframes nearer than this many depths share their errors.
+    pub correlation_depths: f64,
+    pub drift: DriftRates,
+    /// Of one located keyframe.
+    pub keyframe_floor: ErrorFloor,
+    /// Of the alignment to an anchor, however many keyframes it rests on: the bend of its map.
+    pub alignment_floor: ErrorFloor,
 }
 
 impl Default for LocalizerSettings {
     fn default() -> Self {
-        Self { seed: 1 }
+        Self {
+            seed: 1,
+            search_distance_count_max: 8_000_000,
+            search_distance_max: 64,
+            predicted_distance_max: 80,
+            search_ratio_max: 0.9,
+            predicted_ratio_max: 0.9,
+            search_iteration_count_max: 1500,
+            predicted_iteration_count_max: 200,
+            search_inlier_count_min: 12,
+            inlier_count_min: 15,
+            inlier_share_min: 0.25,
+            rival_share_max: 0.6,
+            occupied_cell_count_min: 4,
+            search_slack: 0.004,
+            refine_radius: 0.012,
+            predicted_radius_min: 0.03,
+            predicted_radius_max: 0.25,
+            depth_pair_count_min: 8,
+            depth_ratio_sigma_min: 0.02,
+            first_keyframe_count: 2,
+            first_inlier_count: 50,
+            switch_keyframe_count: 3,
+            window_keyframe_count: 40,
+            disagreement_max: 5.0,
+            anchor_disagreement_max: 4.0,
+            correlation_depths: 0.3,
+            drift: DriftRates {
+                rotation_rad: 0.004,
+                translation: 0.006,
+                log_scale: 0.008,
+            },
+            keyframe_floor: ErrorFloor {
+                rotation_rad: 0.002,
+                translation: 0.003,
+                log_scale: 0.008,
+            },
+            alignment_floor: ErrorFloor {
+                rotation_rad: 0.002,
+                translation: 0.003,
+                log_scale: 0.004,
+            },
+        }
     }
 }

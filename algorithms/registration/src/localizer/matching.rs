@@ -1,0 +1,365 @@
+//! Which feature of a keyframe shows which landmark.
+
+use features::Descriptor;
+use geometry::{Camera, Transform};
+use nalgebra::{Vector2, Vector3};
+
+use super::landmarks::{AnchorLandmarks, AnchorMap, PlacedLandmark};
+use super::types::{ChunkIdx, KeyframeObservation, LocalizerSettings};
+
+/// Landmarks nearer to each other than this share of their distance are one thing, twice mapped;
+/// the ratio test passes over such twins.
+const TWIN_DISTANCE: f64 = 0.05;
+/// Features nearer to each other than this on the ideal plane are one corner on two levels.
+const TWIN_POSITION: f64 = 0.01;
+/// A landmark is looked for only from within this angle of its first view (cosine).
+const VIEW_ANGLE_COSINE_MIN: f64 = 0.5;
+/// And from this many times nearer or farther at most: the range of the image pyramid.
+const DISTANCE_FACTOR_MAX: f64 = 5.0;
+
+/// A feature and the landmark that it may show.
+#[derive(Clone, Copy)]
+pub(super) struct LandmarkMatch<'a> {
+    pub feature_idx: usize,
+    pub landmark: &'a PlacedLandmark,
+    pub chunk: ChunkIdx,
+}
+
+/// The features of one keyframe, laid out for matching.
+pub(super) struct FeatureIndex {
+    positions: Vec<Vector2<f64>>,
+    descriptors: Vec<Descriptor>,
+    /// The corners of the box around all features.
+    lowest: Vector2<f64>,
+    highest: Vector2<f64>,
+    cell_start: Vec<u32>,
+    sorted: Vec<u32>,
+}
+
+/// Cells per axis of the grid over the features.
+const GRID_SIZE: usize = 32;
+
+impl FeatureIndex {
+    /// `None` without features, or with numbers that are not finite.
+    pub fn new(keyframe: &KeyframeObservation) -> Option<Self> {
+        let features = &keyframe.features;
+        let positions: Vec<_> = features.iter().map(|feature| feature.position).collect();
+        let first = *positions.first()?;
+        let usable = features.iter().all(|feature| {
+            feature.position.iter().all(|entry| entry.abs() < 100.0)
+                && feature.sigma > 0.0
+                && feature.sigma.is_finite()
+        });
+        if !usable {
+            return None;
+        }
+        let lowest = positions.iter().fold(first, |low, one| low.inf(one));
+        let highest = positions.iter().fold(first, |high, one| high.sup(one));
+        let mut index = Self {
+            descriptors: features.iter().map(|feature| feature.descriptor).collect(),
+            positions,
+            lowest,
+            highest,
+            cell_start: vec![0; GRID_SIZE * GRID_SIZE + 1],
+            sorted: Vec::new(),
+        };
+        index.sort_into_cells();
+        Some(index)
+    }
+
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Corners of the box around all features on the ideal plane.
+    pub fn bounds(&self) -> (Vector2<f64>, Vector2<f64>) {
+        (self.lowest, self.highest)
+    }
+
+    fn cell(&self, position: &Vector2<f64>) -> (usize, usize) {
+        let extent = self.highest - self.lowest;
+        let along = |axis: usize| {
+            let share = (position[axis] - self.lowest[axis]) / extent[axis].max(1e-9);
+            ((share * GRID_SIZE as f64).max(0.0) as usize).min(GRID_SIZE - 1)
+        };
+        (along(0), along(1))
+    }
+
+    fn sort_into_cells(&mut self) {
+        let cells: Vec<usize> = self
+            .positions
+            .iter()
+            .map(|position| {
+                let (column, row) = self.cell(position);
+                row * GRID_SIZE + column
+            })
+            .collect();
+        self.sorted = (0..self.len() as u32).collect();
+        self.sorted.sort_by_key(|idx| cells[*idx as usize]);
+        for cell in &cells {
+            self.cell_start[cell + 1] += 1;
+        }
+        for cell in 1..self.cell_start.len() {
+            self.cell_start[cell] += self.cell_start[cell - 1];
+        }
+    }
+
+    fn for_each_near(&self, position: &Vector2<f64>, radius: f64, mut visit: impl FnMut(usize)) {
+        let offset = Vector2::repeat(radius);
+        let (column_first, row_first) = self.cell(&(position - offset));
+        let (column_last, row_last) = self.cell(&(position + offset));
+        for row in row_first..=row_last {
+            let first = self.cell_start[row * GRID_SIZE + column_first] as usize;
+            let last = self.cell_start[row * GRID_SIZE + column_last + 1] as usize;
+            for idx in &self.sorted[first..last] {
+                let idx = *idx as usize;
+                if (self.positions[idx] - position).norm_squared() <= radius * radius {
+                    visit(idx);
+                }
+            }
+        }
+    }
+}
+
+/// The best landmark of a feature so far, and the second best that is another thing.
+#[derive(Clone, Copy)]
+struct Ranking<'a> {
+    best: Option<(u32, LandmarkMatch<'a>)>,
+    second_distance: u32,
+}
+
+impl<'a> Ranking<'a> {
+    const EMPTY: Self = Self {
+        best: None,
+        second_distance: u32::MAX,
+    };
+
+    fn offer(&mut self, distance: u32, candidate: LandmarkMatch<'a>) {
+        let Some((best_distance, best)) = self.best else {
+            self.best = Some((distance, candidate));
+            return;
+        };
+        let apart = (best.landmark.point - candidate.landmark.point).norm();
+        let twin = apart < TWIN_DISTANCE * candidate.landmark.distance;
+        if distance < best_distance {
+            if !twin {
+                self.second_distance = best_distance;
+            }
+            self.best = Some((distance, candidate));
+        } else if !twin {
+            self.second_distance = self.second_distance.min(distance);
+        }
+    }
+
+    fn winner(&self, ratio_max: f64) -> Option<LandmarkMatch<'a>> {
+        let (distance, best) = self.best?;
+        (f64::from(distance) < ratio_max * f64::from(self.second_distance)).then_some(best)
+    }
+}
+
+/// Matches that were found, and how many landmarks were looked at.
+pub(super) struct Matches<'a> {
+    pub list: Vec<LandmarkMatch<'a>>,
+    pub candidate_count: usize,
+}
+
+/// Compares all features with as many chunks as the budget allows.
+///
+/// `cursor` says with which placed chunk to begin, and is moved on, so that successive calls see
+/// every chunk.
+pub(super) fn search<'a>(
+    features: &FeatureIndex,
+    anchor: &'a AnchorLandmarks,
+    settings: &LocalizerSettings,
+    cursor: &mut usize,
+) -> Matches<'a> {
+    let chunks: Vec<_> = anchor.placed_chunks().collect();
+    let landmark_limit = (settings.search_distance_count_max / features.len().max(1)).max(1);
+    let mut rankings = vec![Ranking::EMPTY; features.len()];
+    let mut candidate_count = 0;
+    let mut visited_count = 0;
+    let first = if chunks.is_empty() {
+        0
+    } else {
+        *cursor % chunks.len()
+    };
+    for (chunk_idx, chunk) in chunks.iter().cycle().skip(first).take(chunks.len()) {
+        if candidate_count > 0 && candidate_count + chunk.placed().len() > landmark_limit {
+            break;
+        }
+        for landmark in chunk.placed() {
+            if let Some((feature_idx, distance)) = best_feature(features, landmark, settings) {
+                let candidate = LandmarkMatch {
+                    feature_idx,
+                    landmark,
+                    chunk: *chunk_idx,
+                };
+                rankings[feature_idx].offer(distance, candidate);
+            }
+        }
+        candidate_count += chunk.placed().len();
+        visited_count += 1;
+    }
+    // Half of what was seen is seen again: a place that straddles the border is not missed.
+    let complete = visited_count == chunks.len();
+    *cursor = if complete {
+        0
+    } else {
+        first + visited_count.div_ceil(2)
+    };
+    let winners = rankings
+        .iter()
+        .filter_map(|ranking| ranking.winner(settings.search_ratio_max));
+    Matches {
+        list: winners.collect(),
+        candidate_count,
+    }
+}
+
+/// The feature that fits a landmark best, if clearly better than the second.
+fn best_feature(
+    features: &FeatureIndex,
+    landmark: &PlacedLandmark,
+    settings: &LocalizerSettings,
+) -> Option<(usize, u32)> {
+    let [a, b, c, d] = landmark.descriptor.0;
+    // Half of the bits suffice to pass over nearly all strangers.
+    let half_limit = settings.search_distance_max * 2 / 3;
+    let (mut best, mut best_distance, mut second_distance) = (usize::MAX, u32::MAX, u32::MAX);
+    for (idx, Descriptor([e, f, g, h])) in features.descriptors.iter().enumerate() {
+        let half = (a ^ e).count_ones() + (b ^ f).count_ones();
+        if half > half_limit {
+            continue;
+        }
+        let distance = half + (c ^ g).count_ones() + (d ^ h).count_ones();
+        if distance < best_distance {
+            let apart = best != usize::MAX && !features_are_twins(features, idx, best);
+            second_distance = if apart {
+                best_distance
+            } else {
+                second_distance
+            };
+            (best, best_distance) = (idx, distance);
+        } else if distance < second_distance && !features_are_twins(features, idx, best) {
+            second_distance = distance;
+        }
+    }
+    let clear = f64::from(best_distance) < settings.search_ratio_max * f64::from(second_distance);
+    (best_distance <= settings.search_distance_max && clear).then_some((best, best_distance))
+}
+
+fn features_are_twins(features: &FeatureIndex, first: usize, second: usize) -> bool {
+    let apart = features.positions[first] - features.positions[second];
+    apart.norm_squared() < TWIN_POSITION * TWIN_POSITION
+}
+
+/// Looks for each landmark near where a predicted pose would see it.
+pub(super) fn match_predicted<'a>(
+    features: &FeatureIndex,
+    anchor: &'a AnchorLandmarks,
+    camera_from_anchor: &Transform<Camera, AnchorMap>,
+    radius: f64,
+    settings: &LocalizerSettings,
+) -> Matches<'a> {
+    let view = View::new(features, camera_from_anchor, radius);
+    let mut rankings = vec![Ranking::EMPTY; features.len()];
+    let mut candidate_count = 0;
+    for (chunk, stored) in anchor.placed_chunks() {
+        let (centre, sphere_radius) = stored.bounds();
+        if !view.may_see(&centre, sphere_radius) {
+            continue;
+        }
+        for landmark in stored.placed() {
+            let Some(position) = view.project(landmark) else {
+                continue;
+            };
+            candidate_count += 1;
+            let (mut best, mut best_distance) = (usize::MAX, u32::MAX);
+            let mut second_distance = u32::MAX;
+            features.for_each_near(&position, radius, |idx| {
+                let distance = landmark.descriptor.distance(&features.descriptors[idx]);
+                let twin = best != usize::MAX && features_are_twins(features, idx, best);
+                if distance < best_distance {
+                    if best != usize::MAX && !twin {
+                        second_distance = best_distance;
+                    }
+                    (best, best_distance) = (idx, distance);
+                } else if !twin {
+                    second_distance = second_distance.min(distance);
+                }
+            });
+            let clear = f64::from(best_distance)
+                < settings.predicted_ratio_max * f64::from(second_distance);
+            if best_distance <= settings.predicted_distance_max && clear {
+                let candidate = LandmarkMatch {
+                    feature_idx: best,
+                    landmark,
+                    chunk,
+                };
+                rankings[best].offer(best_distance, candidate);
+            }
+        }
+    }
+    let ratio_max = settings.predicted_ratio_max;
+    let winners = rankings
+        .iter()
+        .filter_map(|ranking| ranking.winner(ratio_max));
+    Matches {
+        list: winners.collect(),
+        candidate_count,
+    }
+}
+
+/// What a camera at a predicted pose would see.
+struct View {
+    camera_from_anchor: Transform<Camera, AnchorMap>,
+    position: Vector3<f64>,
+    lowest: Vector2<f64>,
+    highest: Vector2<f64>,
+    /// Largest angle between the optical axis and a feature, as a tangent.
+    tangent_max: f64,
+}
+
+impl View {
+    fn new(
+        features: &FeatureIndex,
+        camera_from_anchor: &Transform<Camera, AnchorMap>,
+        margin: f64,
+    ) -> Self {
+        let (lowest, highest) = features.bounds();
+        let offset = Vector2::repeat(margin);
+        let (lowest, highest) = (lowest - offset, highest + offset);
+        Self {
+            camera_from_anchor: *camera_from_anchor,
+            position: *camera_from_anchor.inverse().translation(),
+            lowest,
+            highest,
+            tangent_max: lowest.abs().sup(&highest.abs()).norm(),
+        }
+    }
+
+    fn may_see(&self, centre: &Vector3<f64>, radius: f64) -> bool {
+        let centre = self.camera_from_anchor * *centre;
+        // The sphere's nearest point to the cone about the optical axis.
+        let across = centre.xy().norm();
+        let secant = (1.0 + self.tangent_max * self.tangent_max).sqrt();
+        centre.z > -radius && across - self.tangent_max * centre.z <= radius * secant
+    }
+
+    fn project(&self, landmark: &PlacedLandmark) -> Option<Vector2<f64>> {
+        let point = self.camera_from_anchor * landmark.point;
+        if point.z <= 0.0 {
+            return None;
+        }
+        let position = point.xy() / point.z;
+        let inside = (0..2)
+            .all(|axis| position[axis] > self.lowest[axis] && position[axis] < self.highest[axis]);
+        let ray = landmark.point - self.position;
+        let distance = ray.norm();
+        let factor = distance / landmark.distance;
+        let seen_alike = ray.dot(&landmark.direction) > VIEW_ANGLE_COSINE_MIN * distance
+            && factor < DISTANCE_FACTOR_MAX
+            && factor * DISTANCE_FACTOR_MAX > 1.0;
+        (inside && seen_alike).then_some(position)
+    }
+}

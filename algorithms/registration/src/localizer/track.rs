@@ -1,0 +1,364 @@
+//! The own map against one anchor's map, over the recent keyframes.
+//!
+//! A Kalman filter on Sim(3) whose state is `anchor_from_camera` with the own map's unit in the
+//! camera, perturbed on the right. Drift of either map is process noise that grows with the
+//! distance travelled, in units of the scene's depth, because neither map knows metres.
+//! The filter runs anew over the window whenever a placement or an own keyframe has moved.
+
+use std::collections::VecDeque;
+
+use geometry::{Camera, Map, Matrix7, Similarity, Tangent7, Timestamp, Transform};
+use nalgebra::SMatrix;
+
+use super::landmarks::{AnchorLandmarks, AnchorMap};
+use super::locate::Located;
+use super::types::{ChunkIdx, DriftRates, KeyframeIdx, LocalizerSettings};
+
+/// A keyframe that was located.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub keyframe: KeyframeIdx,
+    pub captured_at: Timestamp,
+    pub map_from_camera: Transform<Map, Camera>,
+    pub located: Located,
+}
+
+/// The alignment at one pose of the camera.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct State {
+    pub anchor_from_camera: Similarity<AnchorMap, Camera>,
+    /// Over `[ω; ν; ln s]` in the camera's axes, ν in the own map's unit.
+    pub covariance: Matrix7,
+    pub map_from_camera: Transform<Map, Camera>,
+    /// Of the scene, in the own map's unit.
+    pub depth: f64,
+    /// What the innovations say about the assumed noise: variance relative to it.
+    pub noise_factor: f64,
+}
+
+/// The variance that drift adds on the way between two poses of the own map.
+pub(super) fn drift_covariance(rates: &DriftRates, depth: f64, travelled: f64) -> Matrix7 {
+    let share = travelled / depth;
+    let mut diagonal = Tangent7::zeros();
+    diagonal
+        .fixed_rows_mut::<3>(0)
+        .fill(rates.rotation_rad.powi(2) * share);
+    diagonal
+        .fixed_rows_mut::<3>(3)
+        .fill((rates.translation * depth).powi(2) * share);
+    diagonal[6] = rates.log_scale.powi(2) * share;
+    Matrix7::from_diagonal(&diagonal)
+}
+
+impl State {
+    /// The alignment at another pose, less certain by the drift on the way.
+    pub fn predicted(&self, map_from_camera: &Transform<Map, Camera>, rates: &DriftRates) -> Self {
+        let old_from_new = self.map_from_camera.inverse() * *map_from_camera;
+        let adjoint = Similarity::from(old_from_new.inverse()).adjoint();
+        let travelled = old_from_new.translation().norm();
+        let drift = drift_covariance(rates, self.depth, travelled);
+        Self {
+            anchor_from_camera: self.anchor_from_camera * old_from_new,
+            covariance: adjoint * self.covariance * adjoint.transpose() + drift,
+            map_from_camera: *map_from_camera,
+            ..*self
+        }
+    }
+
+    /// The covariance in which differences from what is measured are judged.
+    pub fn scaled_covariance(&self) -> Matrix7 {
+        self.covariance * self.noise_factor
+    }
+}
+
+/// What an entry says, in the anchor's map as it is placed now.
+struct Measurement {
+    anchor_from_camera: Similarity<AnchorMap, Camera>,
+    covariance: Matrix7,
+    depth: f64,
+    scale_known: bool,
+}
+
+impl Measurement {
+    /// `None` if the chunk is no longer there. An unknown scale is taken from `scale_guess`.
+    fn new(
+        entry: &Entry,
+        anchor: &AnchorLandmarks,
+        settings: &LocalizerSettings,
+        scale_guess: f64,
+    ) -> Option<Self> {
+        let located = &entry.located;
+        let map_from_chunk = anchor.map_from_chunk(located.chunk)?;
+        let mut anchor_from_camera = *map_from_chunk * located.chunk_from_camera;
+        if !located.scale_known {
+            anchor_from_camera = Similarity::new(
+                scale_guess,
+                *anchor_from_camera.rotation(),
+                *anchor_from_camera.translation(),
+            );
+        }
+        let chunk_unit_in_map = map_from_chunk.scale() / anchor_from_camera.scale();
+        let depth = located.depth * chunk_unit_in_map;
+        let mut unit = Tangent7::repeat(1.0);
+        unit.fixed_rows_mut::<3>(3).fill(chunk_unit_in_map);
+        let mut covariance = located.covariance.component_mul(&(unit * unit.transpose()));
+        let floor = &settings.keyframe_floor;
+        for axis in 0..3 {
+            covariance[(axis, axis)] += floor.rotation_rad.powi(2);
+            covariance[(axis + 3, axis + 3)] += (floor.translation * depth).powi(2);
+        }
+        covariance[(6, 6)] += floor.log_scale.powi(2);
+        Some(Self {
+            anchor_from_camera,
+            covariance,
+            depth,
+            scale_known: located.scale_known,
+        })
+    }
+
+    /// The difference from a predicted state, as a tangent at that state.
+    fn innovation(&self, state: &State) -> Tangent7 {
+        (state.anchor_from_camera.inverse() * self.anchor_from_camera).log()
+    }
+
+    /// The innovation squared against both covariances, per degree of freedom.
+    fn disagreement(&self, state: &State) -> f64 {
+        let innovation = self.innovation(state);
+        let covariance = state.scaled_covariance() + self.covariance;
+        if self.scale_known {
+            squared_norm::<7>(&innovation, &covariance)
+        } else {
+            squared_norm::<6>(&innovation, &covariance)
+        }
+    }
+}
+
+fn squared_norm<const ROWS: usize>(innovation: &Tangent7, covariance: &Matrix7) -> f64 {
+    let innovation = innovation.fixed_rows::<ROWS>(0).into_owned();
+    let covariance = covariance.fixed_view::<ROWS, ROWS>(0, 0).into_owned();
+    match covariance.cholesky() {
+        Some(cholesky) => innovation.dot(&cholesky.solve(&innovation)) / ROWS as f64,
+        None => f64::INFINITY,
+    }
+}
+
+fn updated<const ROWS: usize>(
+    state: &State,
+    measurement: &Measurement,
+    noise_factor: f64,
+) -> Option<State> {
+    let mut observe = SMatrix::<f64, ROWS, 7>::zeros();
+    observe.fill_diagonal(1.0);
+    let noise = measurement.covariance.fixed_view::<ROWS, ROWS>(0, 0) * noise_factor;
+    let innovation_covariance = observe * state.covariance * observe.transpose() + noise;
+    let inverse = innovation_covariance.cholesky()?.inverse();
+    let gain = state.covariance * observe.transpose() * inverse;
+    let innovation = measurement
+        .innovation(state)
+        .fixed_rows::<ROWS>(0)
+        .into_owned();
+    let rest = Matrix7::identity() - gain * observe;
+    let covariance = rest * state.covariance * rest.transpose() + gain * noise * gain.transpose();
+    Some(State {
+        anchor_from_camera: state.anchor_from_camera.perturbed(&(gain * innovation)),
+        covariance: (covariance + covariance.transpose()) * 0.5,
+        ..*state
+    })
+}
+
+/// Runs the filter over the entries in order; `None` if none of them gives a scale.
+pub(super) fn filter<'a>(
+    entries: impl Iterator<Item = &'a Entry>,
+    anchor: &AnchorLandmarks,
+    settings: &LocalizerSettings,
+) -> Option<State> {
+    let mut state: Option<State> = None;
+    let mut disagreement_sum = 0.0;
+    let mut disagreement_count = 0.0;
+    for entry in entries {
+        let scale_guess = state.map_or(1.0, |state| state.anchor_from_camera.scale());
+        let Some(measurement) = Measurement::new(entry, anchor, settings, scale_guess) else {
+            continue;
+        };
+        let Some(before) = state else {
+            state = measurement.scale_known.then(|| State {
+                anchor_from_camera: measurement.anchor_from_camera,
+                covariance: measurement.covariance,
+                map_from_camera: entry.map_from_camera,
+                depth: measurement.depth,
+                noise_factor: 1.0,
+            });
+            continue;
+        };
+        let travelled =
+            (entry.map_from_camera.translation() - before.map_from_camera.translation()).norm();
+        let mut predicted = before.predicted(&entry.map_from_camera, &settings.drift);
+        predicted.depth = measurement.depth;
+        let disagreement = measurement.disagreement(&predicted);
+        disagreement_sum += disagreement.min(settings.disagreement_max);
+        disagreement_count += 1.0;
+        // Keyframes from nearly the same place see the same landmarks with the same errors: they
+        // count as one only after a way of `correlation_depths`.
+        let repeats = settings.correlation_depths * measurement.depth / travelled.max(1e-9);
+        let noise_factor = repeats.clamp(1.0, 30.0) * disagreement.max(1.0);
+        let updated = if measurement.scale_known {
+            updated::<7>(&predicted, &measurement, noise_factor)
+        } else {
+            updated::<6>(&predicted, &measurement, noise_factor)
+        };
+        state = updated.or(Some(predicted));
+    }
+    let mut state = state?;
+    // A few pretended innovations of the expected size keep the factor calm at the start.
+    state.noise_factor = ((disagreement_sum + 4.0) / (disagreement_count + 4.0)).clamp(0.5, 5.0);
+    Some(state)
+}
+
+/// What a located keyframe did to a track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Admission {
+    Agrees,
+    /// Kept until others agree with it.
+    Waits,
+    /// It and others that agree with it have become the track.
+    Founds,
+}
+
+/// The keyframes that agree on an alignment, and those that wait for company.
+#[derive(Default)]
+pub(super) struct Track {
+    entries: VecDeque<Entry>,
+    waiting: VecDeque<Entry>,
+    state: Option<State>,
+    /// Keyframes in a row that were not located or did not agree.
+    pub miss_count: usize,
+}
+
+/// Entries that wait at most; the oldest goes first.
+const WAITING_MAX: usize = 12;
+
+impl Track {
+    pub fn state(&self) -> Option<&State> {
+        self.state.as_ref()
+    }
+
+    /// Whether an entry is kept relative to this chunk.
+    pub fn rests_on(&self, chunk: ChunkIdx) -> bool {
+        self.entries
+            .iter()
+            .any(|entry| entry.located.chunk == chunk)
+    }
+
+    pub fn newest(&self) -> Option<&Entry> {
+        self.entries.back()
+    }
+
+    pub fn admit(
+        &mut self,
+        entry: Entry,
+        anchor: &AnchorLandmarks,
+        settings: &LocalizerSettings,
+    ) -> Admission {
+        if let Some(state) = &self.state {
+            let predicted = state.predicted(&entry.map_from_camera, &settings.drift);
+            let scale = predicted.anchor_from_camera.scale();
+            let measurement = Measurement::new(&entry, anchor, settings, scale);
+            let agrees = measurement.is_some_and(|measurement| {
+                measurement.disagreement(&predicted) < settings.disagreement_max
+            });
+            if agrees {
+                self.entries.push_back(entry);
+                while self.entries.len() > settings.window_keyframe_count {
+                    self.entries.pop_front();
+                }
+                self.waiting.clear();
+                self.miss_count = 0;
+                self.refresh(anchor, settings);
+                return Admission::Agrees;
+            }
+        }
+        self.miss_count += 1;
+        self.waiting.push_back(entry);
+        if self.waiting.len() > WAITING_MAX {
+            self.waiting.pop_front();
+        }
+        self.count_votes(anchor, settings)
+    }
+
+    /// Whether the newest waiting entry has enough company to found a new track.
+    fn count_votes(&mut self, anchor: &AnchorLandmarks, settings: &LocalizerSettings) -> Admission {
+        let Some(newest) = self.waiting.back() else {
+            return Admission::Waits;
+        };
+        let agreeing: Vec<Entry> = self
+            .waiting
+            .iter()
+            .filter(|entry| {
+                entry.keyframe == newest.keyframe || agree(entry, newest, anchor, settings)
+            })
+            .cloned()
+            .collect();
+        let inlier_count: usize = agreeing
+            .iter()
+            .map(|entry| entry.located.inlier_count)
+            .sum();
+        let required = match self.state {
+            Some(_) => settings.switch_keyframe_count,
+            None => settings.first_keyframe_count,
+        };
+        let spread = agreeing.iter().any(|entry| {
+            let apart = entry.map_from_camera.translation() - newest.map_from_camera.translation();
+            apart.norm() > 0.0
+        });
+        if agreeing.len() < required || inlier_count < settings.first_inlier_count || !spread {
+            return Admission::Waits;
+        }
+        let founded = filter(agreeing.iter(), anchor, settings);
+        if founded.is_none() {
+            return Admission::Waits;
+        }
+        self.entries = agreeing.into();
+        self.waiting.clear();
+        self.state = founded;
+        self.miss_count = 0;
+        Admission::Founds
+    }
+
+    /// Runs the filter anew, after entries or placements have changed.
+    pub fn refresh(&mut self, anchor: &AnchorLandmarks, settings: &LocalizerSettings) {
+        self.state = filter(self.entries.iter(), anchor, settings);
+    }
+
+    /// Whether the keyframe is part of the track.
+    pub fn move_keyframe(
+        &mut self,
+        keyframe: KeyframeIdx,
+        map_from_camera: &Transform<Map, Camera>,
+    ) -> bool {
+        let mut found = false;
+        for entry in self.entries.iter_mut().chain(&mut self.waiting) {
+            if entry.keyframe == keyframe {
+                entry.map_from_camera = *map_from_camera;
+                found = true;
+            }
+        }
+        found
+    }
+}
+
+/// Whether two located keyframes tell of the same alignment.
+fn agree(
+    first: &Entry,
+    second: &Entry,
+    anchor: &AnchorLandmarks,
+    settings: &LocalizerSettings,
+) -> bool {
+    let Some(state) = filter([first].into_iter(), anchor, settings) else {
+        return false;
+    };
+    let predicted = state.predicted(&second.map_from_camera, &settings.drift);
+    let measurement = Measurement::new(second, anchor, settings, 1.0);
+    measurement.is_some_and(|measurement| {
+        measurement.scale_known && measurement.disagreement(&predicted) < settings.disagreement_max
+    })
+}
