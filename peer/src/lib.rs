@@ -3,5 +3,6 @@
 pub mod cli;
 pub mod config;
 pub mod dataset;
+pub mod evaluate;
 pub mod files;
 pub mod link;
