@@ -9,6 +9,7 @@ mod report;
 mod settings;
 mod slam;
 pub mod triangulation;
+pub mod two_view;
 
 pub use map::{Keyframe, KeyframeId, MapId, MapPoint, Observation, PointId, View, VslamMap};
 pub use report::{
