@@ -1,6 +1,11 @@
 //! A set of points as it comes from a file or a map.
 
+mod shape;
+
 use nalgebra::Vector3;
+
+pub use shape::ShapedCloud;
+pub(crate) use shape::{PLANE_THICKNESS, to_single};
 
 /// Points, and what is known about their appearance.
 ///

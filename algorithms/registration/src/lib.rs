@@ -1,14 +1,19 @@
 #![doc = include_str!("../README.md")]
 
+mod acceptance;
 pub mod cloud;
+mod icp;
+pub mod kd_tree;
 pub mod localizer;
 pub mod register;
+mod search;
 
-pub use cloud::{Cloud, Descriptors};
+pub use cloud::{Cloud, Descriptors, ShapedCloud};
 pub use localizer::{
     AlignmentReport, AnchorIdx, ChunkIdx, Estimate, KeyframeIdx, KeyframeObservation, Landmark,
     Localizer, LocalizerSettings, ObservedFeature, ObservedPoint,
 };
 pub use register::{
-    Alignment, Metric, Outcome, Refusal, RegisterSettings, Source, Start, Target, register,
+    Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target, align,
+    register,
 };

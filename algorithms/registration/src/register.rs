@@ -1,8 +1,12 @@
 //! One registration of two clouds, from preparation to verdict.
 
-use geometry::{Matrix7, Similarity};
+use geometry::{Matrix7, Similarity, Transform};
+use nalgebra::UnitQuaternion;
 
-use crate::Cloud;
+use crate::acceptance::{judge, measure, uncentred};
+use crate::cloud::{Cloud, ShapedCloud};
+use crate::icp::{IcpSettings, iterate};
+use crate::search;
 
 /// The frame of the cloud that is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +70,7 @@ impl Default for RegisterSettings {
 /// A registration is accepted with its alignment, or refused with a reason.
 #[derive(Clone, Debug)]
 pub enum Outcome {
-    Accepted(Alignment),
+    Accepted(Box<Alignment>),
     Refused {
         reason: Refusal,
         /// What was measured before the refusal, where it got that far.
@@ -113,6 +117,9 @@ pub enum Refusal {
     WeakGeometry {
         directions: Vec<String>,
     },
+    LargeResidual {
+        rmse_m: f64,
+    },
     ScaleOutOfBounds {
         scale: f64,
     },
@@ -137,6 +144,10 @@ impl std::fmt::Display for Refusal {
             Self::WeakGeometry { directions } => {
                 write!(f, "the geometry leaves free: {}", directions.join(", "))
             }
+            Self::LargeResidual { rmse_m } => write!(
+                f,
+                "residual of {rmse_m:.3} is more than the spacing of the points explains"
+            ),
             Self::ScaleOutOfBounds { scale } => write!(f, "scale {scale:.3} is out of bounds"),
         }
     }
@@ -146,34 +157,90 @@ impl std::fmt::Display for Refusal {
 ///
 /// Deterministic: the search is seeded, sums run in fixed order.
 pub fn register(source: &Cloud, target: &Cloud, settings: &RegisterSettings) -> Outcome {
-    let source = prepare(source, settings);
-    let target = prepare(target, settings);
+    let source = ShapedCloud::new(source, settings.voxel_m);
+    let target = ShapedCloud::new(target, settings.voxel_m);
     align(&source, &target, settings)
 }
 
-/// A cloud made ready for [`align`]: thinned, indexed, with normals and covariances.
-pub struct PreparedCloud {
-    cloud: Cloud,
+/// Fewer points than this are not a cloud.
+const POINT_COUNT_MIN: usize = 20;
+
+/// Aligns two clouds that are ready, so that a caller can time preparation and alignment apart.
+pub fn align(source: &ShapedCloud, target: &ShapedCloud, settings: &RegisterSettings) -> Outcome {
+    if source.point_count().min(target.point_count()) < POINT_COUNT_MIN {
+        return Outcome::refused(Refusal::TooFewPoints {
+            source_count: source.point_count(),
+            target_count: target.point_count(),
+        });
+    }
+    let given = match settings.start {
+        Start::Identity => Similarity::identity(),
+        Start::Given(guess) => guess,
+        Start::Search => {
+            return match search::find(source, target, settings) {
+                Ok(start) => align_from(source, target, &start, settings),
+                Err(refusal) => Outcome::refused(refusal),
+            };
+        }
+    };
+    let start = Similarity::new(
+        given.scale(),
+        *given.rotation(),
+        given * source.centroid - target.centroid,
+    );
+    align_from(source, target, &start, settings)
 }
 
-/// Thins and indexes a cloud, and estimates what the metric needs.
-pub fn prepare(cloud: &Cloud, _settings: &RegisterSettings) -> PreparedCloud {
-    PreparedCloud {
-        cloud: cloud.clone(),
+/// Iterates from a start between the centred clouds, and judges the end.
+fn align_from(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    start: &Similarity<Target, Source>,
+    settings: &RegisterSettings,
+) -> Outcome {
+    let icp_settings = IcpSettings {
+        metric: settings.metric,
+        with_scale: settings.with_scale,
+        max_distance: settings.max_distance_m,
+        iteration_limit: settings.iteration_limit,
+    };
+    let Some(icp) = iterate(source, target, start, &icp_settings) else {
+        return Outcome::refused(Refusal::LittleOverlap {
+            source: 0.0,
+            target: 0.0,
+        });
+    };
+    let quality = measure(source, target, &icp, settings.metric, settings.with_scale);
+    let verdict = judge(source, target, &icp, &quality);
+    let covariance = icp.normal.covariance(settings.with_scale);
+    match (verdict, covariance) {
+        (Ok(()), Some(covariance)) => {
+            // S = T(c_t) S' T(−c_s): the step at the centred source moves along by T(c_s).
+            let shift =
+                Transform::<Source, Source>::new(UnitQuaternion::identity(), source.centroid);
+            let adjoint = Similarity::from(shift).adjoint();
+            Outcome::Accepted(Box::new(Alignment {
+                target_from_source: uncentred(source, target, &icp.target_from_source),
+                covariance: adjoint * covariance * adjoint.transpose(),
+                quality,
+            }))
+        }
+        (Err(reason), _) => Outcome::Refused {
+            reason,
+            quality: Some(quality),
+        },
+        (Ok(()), None) => Outcome::Refused {
+            reason: Refusal::NotConverged,
+            quality: Some(quality),
+        },
     }
 }
 
-/// Aligns two prepared clouds.
-pub fn align(
-    source: &PreparedCloud,
-    target: &PreparedCloud,
-    _settings: &RegisterSettings,
-) -> Outcome {
-    Outcome::Refused {
-        reason: Refusal::TooFewPoints {
-            source_count: source.cloud.points().len(),
-            target_count: target.cloud.points().len(),
-        },
-        quality: None,
+impl Outcome {
+    fn refused(reason: Refusal) -> Self {
+        Self::Refused {
+            reason,
+            quality: None,
+        }
     }
 }

@@ -102,3 +102,46 @@ fn stated_uncertainty_is_honest() {
         "normalised squared error {mean}"
     );
 }
+
+#[test]
+fn scratch_local_part() {
+    for (bend, drift) in [
+        (0.003, 1.0),
+        (0.0, 0.0),
+        (0.003, 0.0),
+        (0.01, 1.0),
+        (0.003, 2.0),
+    ] {
+        let (mut inside, mut count, mut sum, mut sq) = (0, 0, 0.0, 0.0);
+        let mut sig = 0.0;
+        for seed in 0..20 {
+            let mut scene = scene(seed, drift);
+            scene.publish(&AnchorSettings {
+                georeference_sigma: [1e-6, 1e-6, 1e-6],
+                bend_m: bend,
+                ..AnchorSettings::default()
+            });
+            for step in 0..40 {
+                scene.step(step);
+                if let Some((error, squared)) = scene.position_error() {
+                    inside += usize::from(squared <= 14.16);
+                    count += 1;
+                    sum += squared / 3.0;
+                    sq += error * error;
+                    let e = scene.estimate().unwrap();
+                    sig += e
+                        .position_covariance(&scene.flyer.map_from_camera(), None)
+                        .trace();
+                }
+            }
+        }
+        let n = count as f64;
+        println!(
+            "bend {bend} drift {drift} inside {} nees {} rmse {} sigma {} count {count}",
+            inside as f64 / n,
+            sum / n,
+            (sq / n).sqrt(),
+            (sig / n).sqrt()
+        );
+    }
+}

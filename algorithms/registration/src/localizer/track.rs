@@ -181,7 +181,7 @@ pub(super) fn filter<'a>(
             continue;
         };
         let Some(before) = state else {
-            state = measurement.scale_known.then(|| State {
+            state = measurement.scale_known.then_some(State {
                 anchor_from_camera: measurement.anchor_from_camera,
                 covariance: measurement.covariance,
                 map_from_camera: entry.map_from_camera,

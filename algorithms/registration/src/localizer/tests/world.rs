@@ -117,6 +117,8 @@ pub struct AnchorSettings {
     /// Error of the georeference that its covariance does not tell of.
     pub lie: Vector3<f64>,
     pub chunk_count: usize,
+    /// Standard deviations of the georeference, on the map's right: rotation, map unit, scale.
+    pub georeference_sigma: [f64; 3],
 }
 
 impl Default for AnchorSettings {
@@ -127,12 +129,10 @@ impl Default for AnchorSettings {
             bend_m: 0.003,
             lie: Vector3::zeros(),
             chunk_count: 30,
+            georeference_sigma: [0.002, 0.008, 0.003],
         }
     }
 }
-
-/// Standard deviations of the georeference, on the map's right: rotation, map unit, scale.
-pub const GEOREFERENCE_SIGMA: (f64, f64, f64) = (0.002, 0.008, 0.003);
 
 /// An anchor drives along the room's long axis and round, and its chunks reach the localiser.
 pub fn publish_anchor(
@@ -175,11 +175,10 @@ pub fn publish_anchor(
         localizer.insert_chunk(settings.idx, chunk, landmarks);
         localizer.place_chunk(settings.idx, chunk, map_from_chunk);
     }
-    let (rotation_sigma, translation_sigma, scale_sigma) = GEOREFERENCE_SIGMA;
-    let error = tangent(rng, rotation_sigma, translation_sigma, scale_sigma);
+    let sigma = settings.georeference_sigma;
+    let error = tangent(rng, sigma[0], sigma[1], sigma[2]);
     let lie = Transform::<Enu, Enu>::new(UnitQuaternion::identity(), settings.lie);
-    let variances = [rotation_sigma, translation_sigma, scale_sigma].map(|sigma| sigma * sigma);
-    let covariance = Matrix7::from_diagonal(&Tangent7::from_fn(|row, _| variances[row / 3]));
+    let covariance = Matrix7::from_diagonal(&Tangent7::from_fn(|row, _| sigma[row / 3].powi(2)));
     localizer.place_anchor(
         settings.idx,
         lie * enu_from_map.perturbed(&error),

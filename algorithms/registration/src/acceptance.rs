@@ -1,0 +1,165 @@
+//! Whether an alignment is supported by the clouds, and in which directions it is not.
+
+use geometry::{Matrix7, Similarity};
+use nalgebra::{Matrix3, SMatrix, SymmetricEigen, Vector3};
+
+use crate::cloud::ShapedCloud;
+use crate::icp::{Icp, final_width, find_pairs, information, overlaps};
+use crate::register::{Metric, Quality, Refusal, Source, Target};
+
+/// Of the larger and of the smaller of the two overlaps.
+const OVERLAP_MIN: (f64, f64) = (0.45, 0.25);
+/// Root mean square residual in units of the final kernel width: a wrong alignment of dense
+/// clouds pairs points at random and comes near one half.
+const RESIDUAL_WIDTHS_MAX: f64 = 0.35;
+/// A direction with less information per pair than this, relative to a pair that fixes it fully,
+/// is not fixed. Normals that are wrong by three degrees pretend 0.003.
+const INFORMATION_MIN: f64 = 0.004;
+
+/// Measures how well the clouds agree after the iteration.
+pub(crate) fn measure(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    icp: &Icp,
+    metric: Metric,
+    with_scale: bool,
+) -> Quality {
+    let alignment = &icp.target_from_source;
+    let width = final_width(source, target, alignment.scale());
+    let (overlap_source, overlap_target) = overlaps(source, target, alignment, width);
+    let mut pairs = Vec::new();
+    find_pairs(source, target, alignment, width, false, &mut pairs);
+    let rotation = alignment.linear_matrix() / alignment.scale();
+    let mut squares = 0.0;
+    let mut surface_information = Matrix7::zeros();
+    for pair in &pairs {
+        let point = source.points[pair.source_idx as usize];
+        let residual = target.points[pair.target_idx as usize] - *alignment * point;
+        let metric_information = information(source, target, pair, &rotation, metric);
+        squares += residual.dot(&(metric_information * residual));
+        surface_information +=
+            surface(target, pair.target_idx, &rotation, &(point / source.radius));
+    }
+    let pair_count = pairs.len().max(1) as f64;
+    Quality {
+        rmse_m: (squares / pair_count).sqrt(),
+        overlap_source,
+        overlap_target,
+        iteration_count: icp.iteration_count,
+        weak_directions: weak_directions(&(surface_information / pair_count), with_scale),
+    }
+}
+
+/// The verdict over what was measured.
+pub(crate) fn judge(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    icp: &Icp,
+    quality: &Quality,
+) -> Result<(), Refusal> {
+    if icp.scale_bounded {
+        return Err(Refusal::ScaleOutOfBounds {
+            scale: icp.target_from_source.scale(),
+        });
+    }
+    if !icp.converged {
+        return Err(Refusal::NotConverged);
+    }
+    let (more, less) = (
+        quality.overlap_source.max(quality.overlap_target),
+        quality.overlap_source.min(quality.overlap_target),
+    );
+    if more < OVERLAP_MIN.0 || less < OVERLAP_MIN.1 {
+        return Err(Refusal::LittleOverlap {
+            source: quality.overlap_source,
+            target: quality.overlap_target,
+        });
+    }
+    let width = final_width(source, target, icp.target_from_source.scale());
+    if quality.rmse_m > RESIDUAL_WIDTHS_MAX * width {
+        return Err(Refusal::LargeResidual {
+            rmse_m: quality.rmse_m,
+        });
+    }
+    if !quality.weak_directions.is_empty() {
+        return Err(Refusal::WeakGeometry {
+            directions: quality.weak_directions.clone(),
+        });
+    }
+    Ok(())
+}
+
+/// The information of one pair when only the distance to the surface counts, with the rotation
+/// and the scale acting on the cloud's radius.
+fn surface(
+    target: &ShapedCloud,
+    target_idx: u32,
+    rotation: &Matrix3<f64>,
+    lever: &Vector3<f64>,
+) -> Matrix7 {
+    let column = |direction: Vector3<f64>| {
+        let turn = lever.cross(&direction);
+        let mut column = SMatrix::<f64, 7, 1>::zeros();
+        column.fixed_rows_mut::<3>(0).copy_from(&turn);
+        column.fixed_rows_mut::<3>(3).copy_from(&direction);
+        column[6] = lever.dot(&direction);
+        column
+    };
+    match target.shapes[target_idx as usize].normal {
+        Some(normal) => {
+            let column = column(rotation.transpose() * normal);
+            column * column.transpose()
+        }
+        None => (0..3)
+            .map(|axis| column(Vector3::ith(axis, 1.0)))
+            .map(|column| column * column.transpose())
+            .sum(),
+    }
+}
+
+/// The directions that the surfaces leave free, in words.
+fn weak_directions(information: &Matrix7, with_scale: bool) -> Vec<String> {
+    let mut information = *information;
+    if !with_scale {
+        // A scale that is fixed is known.
+        information.fixed_view_mut::<1, 6>(6, 0).fill(0.0);
+        information.fixed_view_mut::<6, 1>(0, 6).fill(0.0);
+        information[(6, 6)] = 1.0;
+    }
+    let eigen = SymmetricEigen::new(information);
+    let weak = (0..7).filter(|idx| eigen.eigenvalues[*idx] < INFORMATION_MIN);
+    let mut named: Vec<String> = weak
+        .map(|idx| name_direction(&eigen.eigenvectors.column(idx).into_owned()))
+        .collect();
+    named.sort();
+    named
+}
+
+fn name_direction(direction: &SMatrix<f64, 7, 1>) -> String {
+    let rotation = direction.fixed_rows::<3>(0).into_owned();
+    let translation = direction.fixed_rows::<3>(3).into_owned();
+    let scale = direction[6].abs();
+    let (kind, axis) = if scale > rotation.norm() && scale > translation.norm() {
+        return "scale".to_owned();
+    } else if rotation.norm() > translation.norm() {
+        ("rotation about", rotation)
+    } else {
+        ("translation along", translation)
+    };
+    let largest = axis.iamax();
+    let axis = axis.normalize() * axis[largest].signum();
+    // Adding zero turns −0 into 0.
+    let [x, y, z] = std::array::from_fn(|idx| (axis[idx] * 100.0).round() / 100.0 + 0.0);
+    format!("{kind} ({x:.2}, {y:.2}, {z:.2})")
+}
+
+/// Undoes the centring of both clouds.
+pub(crate) fn uncentred(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    centred: &Similarity<Target, Source>,
+) -> Similarity<Target, Source> {
+    let translation = target.centroid + centred.translation()
+        - centred.rotation() * source.centroid * centred.scale();
+    Similarity::new(centred.scale(), *centred.rotation(), translation)
+}
