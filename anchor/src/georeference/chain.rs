@@ -1,0 +1,322 @@
+//! The map as a chain of similarities, one per keyframe, that drift relates and fixes hold.
+//!
+//! Neighbouring keyframes stand to each other as the map says, up to the drift of a monocular map
+//! (a random walk of rotation, translation and ln s along the path). The normal equations are
+//! block-tridiagonal, so a solution and all marginal covariances cost a pass each.
+
+use std::collections::BTreeMap;
+
+use geometry::{Camera, Enu, Map, Matrix7, Similarity, Tangent7, so3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
+use vslam::KeyframeId;
+
+use super::association::Tie;
+use crate::settings::DriftModel;
+use crate::{GeoreferenceSettings, KeyframePose};
+
+mod tridiagonal;
+
+use tridiagonal::Tridiagonal;
+
+type Matrix3x7 = SMatrix<f64, 3, 7>;
+type RowVector7 = SMatrix<f64, 1, 7>;
+
+const ITERATION_COUNT_MAX: usize = 12;
+/// Median and 99 % of χ² with three degrees of freedom.
+const CHI2_MEDIAN: f64 = 2.366;
+const CHI2_GATE: f64 = 11.34;
+/// An attitude sensor's vertical [rad].
+const UP_SIGMA_RAD: f64 = 0.03;
+/// What is known before any fix: nothing much.
+const PRIOR_ROTATION_RAD: f64 = 2.0;
+const PRIOR_LOG_SCALE: f64 = 2.0;
+const PRIOR_POSITION_SHARE: f64 = 1e4;
+
+/// Where every keyframe stands.
+#[derive(Debug)]
+pub(super) struct Solution {
+    pub(super) nodes: Vec<Node>,
+    /// Whitened, squared residual of each tie, in their order.
+    pub(super) residuals_squared: Vec<f64>,
+    pub(super) drift_factor: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Node {
+    pub(super) keyframe: KeyframeId,
+    pub(super) enu_from_camera: Similarity<Enu, Camera>,
+    pub(super) covariance: Matrix7,
+}
+
+/// The best places of all keyframes from a first guess of the whole; `None` if it diverges.
+///
+/// The drift model is widened until it explains the fixes, if it does not at first.
+pub(super) fn solve(
+    ties: &[&Tie],
+    keyframes: &BTreeMap<KeyframeId, KeyframePose>,
+    start: &Similarity<Enu, Map>,
+    settings: &GeoreferenceSettings,
+) -> Option<Solution> {
+    let mut problem = Problem::new(ties, keyframes, start, settings);
+    loop {
+        let mut solution = problem.minimise()?;
+        let median = median(&solution.residuals_squared);
+        let excess = median / CHI2_MEDIAN;
+        if excess > 1.5 && problem.drift_factor < 16.0 && problem.residuals_are_correlated() {
+            problem.drift_factor *= 2.0;
+            continue;
+        }
+        // Noise beyond what the fixes state of themselves.
+        for node in &mut solution.nodes {
+            node.covariance *= excess.max(1.0);
+        }
+        return Some(solution);
+    }
+}
+
+struct Problem<'a> {
+    ties: &'a [&'a Tie],
+    /// Index of each tie's node.
+    node_of_tie: Vec<usize>,
+    keyframes: Vec<&'a KeyframePose>,
+    drift: DriftModel,
+    drift_factor: f64,
+    antenna_in_camera: Vector3<f64>,
+    forward_in_camera: Vector3<f64>,
+    start: Vec<Similarity<Enu, Camera>>,
+    places: Vec<Similarity<Enu, Camera>>,
+    information: Vec<Matrix3<f64>>,
+}
+
+impl<'a> Problem<'a> {
+    fn new(
+        ties: &'a [&'a Tie],
+        keyframes: &'a BTreeMap<KeyframeId, KeyframePose>,
+        start: &Similarity<Enu, Map>,
+        settings: &GeoreferenceSettings,
+    ) -> Self {
+        let first = ties.iter().map(|tie| tie.keyframe).min();
+        let keyframes: Vec<&KeyframePose> = keyframes
+            .values()
+            .filter(|keyframe| Some(keyframe.id) >= first)
+            .collect();
+        let node_of = |tie: &&Tie| keyframes.partition_point(|one| one.id < tie.keyframe);
+        let places: Vec<_> = keyframes
+            .iter()
+            .map(|keyframe| *start * keyframe.map_from_camera)
+            .collect();
+        let camera_from_body = settings.body_from_camera.inverse();
+        let information = |tie: &&Tie| tie.fix.covariance.try_inverse().unwrap_or_default();
+        Self {
+            node_of_tie: ties.iter().map(node_of).collect(),
+            information: ties.iter().map(information).collect(),
+            antenna_in_camera: camera_from_body * settings.antenna_in_body,
+            forward_in_camera: camera_from_body.rotation() * Vector3::x(),
+            drift: settings.drift,
+            drift_factor: 1.0,
+            start: places.clone(),
+            places,
+            keyframes,
+            ties,
+        }
+    }
+
+    fn minimise(&mut self) -> Option<Solution> {
+        for _ in 0..ITERATION_COUNT_MAX {
+            let mut system = self.linearise();
+            let steps = system.solve()?;
+            let mut largest = 0.0_f64;
+            for (place, step) in self.places.iter_mut().zip(&steps) {
+                let turn = step.fixed_rows::<3>(0).norm().max(step[6].abs());
+                let moved = step.fixed_rows::<3>(3).norm() * place.scale();
+                largest = largest.max(turn).max(moved / 10.0);
+                // A step beyond half a radian is outside of what the derivatives describe.
+                let clip = (0.5 / turn.max(1e-12)).min(1.0);
+                *place = place.perturbed(&(step * clip));
+            }
+            if !largest.is_finite() {
+                return None;
+            }
+            if largest < 1e-5 {
+                break;
+            }
+        }
+        let covariances = self.linearise().marginals()?;
+        let nodes = self.keyframes.iter().zip(&self.places).zip(covariances);
+        Some(Solution {
+            nodes: nodes
+                .map(|((keyframe, place), covariance)| Node {
+                    keyframe: keyframe.id,
+                    enu_from_camera: *place,
+                    covariance,
+                })
+                .collect(),
+            residuals_squared: self.residuals_squared(),
+            drift_factor: self.drift_factor,
+        })
+    }
+
+    fn linearise(&self) -> Tridiagonal {
+        let mut system = Tridiagonal::new(self.places.len());
+        self.add_prior(&mut system);
+        for idx in 1..self.places.len() {
+            self.add_step(&mut system, idx);
+        }
+        let residuals_squared = self.residuals_squared();
+        let gate = CHI2_GATE.max(6.0 * median(&residuals_squared));
+        for (tie_idx, residual_squared) in residuals_squared.iter().enumerate() {
+            // No loss of efficiency within the gate, little influence beyond it.
+            let ratio = gate / residual_squared.max(gate);
+            self.add_tie(&mut system, tie_idx, ratio * ratio);
+        }
+        system
+    }
+
+    fn add_prior(&self, system: &mut Tridiagonal) {
+        let extent = self
+            .places
+            .iter()
+            .map(|place| (place.translation() - self.places[0].translation()).norm())
+            .fold(1.0, f64::max);
+        let position = PRIOR_POSITION_SHARE * extent / self.places[0].scale();
+        let sigma = [PRIOR_ROTATION_RAD, position, PRIOR_LOG_SCALE];
+        let error = (self.start[0].inverse() * self.places[0]).log();
+        let weight = Tangent7::from_fn(|row, _| sigma[row / 3].powi(-2));
+        system.add_diagonal(
+            0,
+            &Matrix7::from_diagonal(&weight),
+            &-error.component_mul(&weight),
+        );
+    }
+
+    /// The map's step from one keyframe to the next: `e = log(M⁻¹ Xᵢ⁻¹ Xⱼ)`.
+    fn add_step(&self, system: &mut Tridiagonal, idx: usize) {
+        let measured =
+            self.keyframes[idx - 1].map_from_camera.inverse() * self.keyframes[idx].map_from_camera;
+        let predicted = self.places[idx - 1].inverse() * self.places[idx];
+        let error: Tangent7 = (measured.inverse() * predicted).log();
+        let distance = measured.translation().norm();
+        let distance_m = distance * self.start[0].scale();
+        let turn_rad = measured.rotation().angle();
+        let drift = &self.drift;
+        let rotation = (drift.rotation_rad_per_sqrt_m.powi(2) * distance_m
+            + (drift.rotation_per_rad * turn_rad).powi(2)
+            + 1e-8)
+            .sqrt();
+        // A millimetre for what the pose of a keyframe is uncertain by at least.
+        let translation = (drift.translation_share * distance).hypot(1e-3 / self.start[0].scale());
+        let log_scale = (drift.log_scale_per_sqrt_m.powi(2) * distance_m
+            + (drift.log_scale_per_rad * turn_rad).powi(2)
+            + 1e-8)
+            .sqrt();
+        let sigma = [rotation, translation, log_scale].map(|sigma| sigma * self.drift_factor);
+        let weight = Matrix7::from_diagonal(&Tangent7::from_fn(|row, _| sigma[row / 3].powi(-2)));
+        let d_error_d_first = -predicted.inverse().adjoint();
+        system.add_pair(idx - 1, &d_error_d_first, &weight, &error);
+    }
+
+    fn add_tie(&self, system: &mut Tridiagonal, tie_idx: usize, weight: f64) {
+        let tie = self.ties[tie_idx];
+        let node_idx = self.node_of_tie[tie_idx];
+        let place = &self.places[node_idx];
+        let camera = tie.keyframe_from_camera.translation();
+        let lever = tie.keyframe_from_camera.rotation() * self.antenna_in_camera;
+        let rotation = *place.rotation().to_rotation_matrix().matrix();
+        let mut jacobian = Matrix3x7::zeros();
+        let turned = rotation * -(so3::hat(camera) * place.scale() + so3::hat(&lever));
+        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&turned);
+        jacobian
+            .fixed_view_mut::<3, 3>(0, 3)
+            .copy_from(&place.linear_matrix());
+        jacobian
+            .fixed_view_mut::<3, 1>(0, 6)
+            .copy_from(&(place.linear_matrix() * camera));
+        let information = self.information[tie_idx] * weight;
+        let weighted = jacobian.transpose() * information;
+        system.add_diagonal(
+            node_idx,
+            &(weighted * jacobian),
+            &(weighted * self.residual(tie_idx)),
+        );
+
+        let enu_from_camera = rotation * tie.keyframe_from_camera.rotation_matrix();
+        if let Some(heading) = tie.fix.heading {
+            let forward = enu_from_camera * self.forward_in_camera;
+            let horizontal_squared = forward.xy().norm_squared();
+            // Straight up or down there is no heading.
+            if horizontal_squared > 0.03 {
+                let error = wrap(heading.angle_rad - forward.y.atan2(forward.x));
+                let d_angle_d_forward =
+                    Vector3::new(-forward.y, forward.x, 0.0) / horizontal_squared;
+                let in_keyframe = tie.keyframe_from_camera.rotation() * self.forward_in_camera;
+                let d_forward_d_turn = -rotation * so3::hat(&in_keyframe);
+                let row = (d_angle_d_forward.transpose() * d_forward_d_turn).transpose();
+                system.add_turn(node_idx, &row, error, heading.sigma_rad);
+            }
+        }
+        if let Some(up) = tie.up_in_camera {
+            let in_keyframe = tie.keyframe_from_camera.rotation() * up.into_inner();
+            let up_in_enu = rotation * in_keyframe;
+            let d_up_d_turn = -rotation * so3::hat(&in_keyframe);
+            for axis in 0..2 {
+                let row = d_up_d_turn.row(axis).transpose();
+                system.add_turn(node_idx, &row, -up_in_enu[axis], UP_SIGMA_RAD);
+            }
+        }
+    }
+
+    /// Fix minus predicted antenna, in ENU.
+    fn residual(&self, tie_idx: usize) -> Vector3<f64> {
+        let tie = self.ties[tie_idx];
+        let place = &self.places[self.node_of_tie[tie_idx]];
+        let lever = tie.keyframe_from_camera.rotation() * self.antenna_in_camera;
+        let antenna = *place * *tie.keyframe_from_camera.translation() + place.rotation() * lever;
+        tie.fix.antenna_in_enu - antenna
+    }
+
+    fn residuals_squared(&self) -> Vec<f64> {
+        let squared = |tie_idx: usize| {
+            let residual = self.residual(tie_idx);
+            residual.dot(&(self.information[tie_idx] * residual))
+        };
+        (0..self.ties.len()).map(squared).collect()
+    }
+
+    /// Whether neighbouring fixes err alike, as where the map bends, not independently.
+    fn residuals_are_correlated(&self) -> bool {
+        let squared = self.residuals_squared();
+        let gate = 6.0 * median(&squared);
+        let (mut product, mut power) = (0.0, 0.0);
+        for idx in 1..self.ties.len() {
+            if squared[idx] < gate && squared[idx - 1] < gate {
+                let residual = self.residual(idx);
+                product += residual.dot(&self.residual(idx - 1));
+                power += residual.norm_squared();
+            }
+        }
+        product > 0.3 * power
+    }
+}
+
+impl Tridiagonal {
+    /// A scalar that depends on the rotation alone.
+    fn add_turn(&mut self, idx: usize, d_value_d_turn: &Vector3<f64>, error: f64, sigma: f64) {
+        let mut row = RowVector7::zeros();
+        row.fixed_view_mut::<1, 3>(0, 0)
+            .copy_from(&d_value_d_turn.transpose());
+        let weight = sigma.powi(-2);
+        let hessian = row.transpose() * row * weight;
+        self.add_diagonal(idx, &hessian, &(row.transpose() * (error * weight)));
+    }
+}
+
+fn wrap(angle_rad: f64) -> f64 {
+    let turn = std::f64::consts::TAU;
+    angle_rad - turn * (angle_rad / turn).round()
+}
+
+pub(super) fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
