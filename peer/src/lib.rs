@@ -6,3 +6,4 @@ pub mod dataset;
 pub mod evaluate;
 pub mod files;
 pub mod link;
+pub mod node;

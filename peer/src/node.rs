@@ -1,0 +1,257 @@
+//! One vehicle's mind: a state machine that opens nothing.
+//!
+//! `handle(event, now)` takes what a driver or the link brought and returns what is to be done.
+//! The same code flies, replays a recording, and runs in simulated time.
+
+mod beacon;
+mod frame;
+mod peer_role;
+mod receive;
+mod reconcile;
+mod shelf;
+mod status;
+
+use std::sync::Arc;
+
+use camera::{Calibration, Image};
+use geometry::{Camera, Enu, Map, Similarity, Timestamp, Transform};
+use nalgebra::{Matrix3, Vector3};
+use protocol::keys::Key;
+use protocol::{ChunkId, Manifest, Placement, PlacementPage, VehicleId, VehicleState};
+use vslam::{Vslam, VslamSettings};
+
+use crate::link::{Class, RequestId};
+use beacon::BeaconTimer;
+use peer_role::PeerRole;
+use reconcile::Reconciler;
+use shelf::Shelf;
+
+pub use status::Status;
+
+/// What the node may be told.
+#[derive(Debug)]
+pub enum Event {
+    Frame {
+        captured_at: Timestamp,
+        image: Image,
+    },
+    /// Somebody published this.
+    Message { key: String, payload: Arc<[u8]> },
+    /// Somebody answered a request with this.
+    Reply {
+        request: RequestId,
+        key: String,
+        payload: Arc<[u8]>,
+    },
+    RequestEnded { request: RequestId },
+    NeighbourCame,
+    NeighbourLeft,
+    /// Time has passed.
+    Tick,
+}
+
+/// What is to be done, in this order.
+#[derive(Debug)]
+pub enum Effect {
+    /// Store it; what comes after may say that it is held.
+    Keep(Kept),
+    Publish {
+        class: Class,
+        key: Key,
+        payload: Arc<[u8]>,
+    },
+    Request {
+        request: RequestId,
+        selector: String,
+    },
+    /// The frame is dealt with; its pose has been published.
+    Posed(FramePose),
+}
+
+/// What the store keeps and answers with.
+#[derive(Clone, Debug)]
+pub enum Kept {
+    Chunk(ChunkId, Arc<[u8]>),
+    Manifest(Manifest),
+    Placement(Placement),
+    Page(PlacementPage),
+    Beacon(Arc<[u8]>),
+}
+
+/// A frame's pose as it was published at that moment.
+#[derive(Clone, Debug)]
+pub struct FramePose {
+    pub captured_at: Timestamp,
+    pub state: VehicleState,
+    /// Only while `Global`.
+    pub global: Option<GlobalFramePose>,
+    /// In the vehicle's own map, while tracking.
+    pub map_from_camera: Option<Transform<Map, Camera>>,
+    /// Of which map.
+    pub map_id: vslam::MapId,
+}
+
+#[derive(Clone, Debug)]
+pub struct GlobalFramePose {
+    pub enu_from_camera: Transform<Enu, Camera>,
+    /// Of the position, in ENU [m²].
+    pub position_covariance: Matrix3<f64>,
+}
+
+/// What may differ between vehicles.
+#[derive(Clone, Debug)]
+pub struct NodeSettings {
+    pub id: VehicleId,
+    pub stale_after_s: f64,
+    pub global_sigma_m: Option<f64>,
+    pub seed: u64,
+}
+
+/// What went wrong or was odd, counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct NodeCounters {
+    pub chunks_received: u64,
+    pub chunks_published: u64,
+    /// Messages that are none, whatever their key.
+    pub malformed: u64,
+    /// Chunks that came again.
+    pub duplicates: u64,
+    /// Different bodies under one key; the first was kept.
+    pub equivocations: u64,
+    /// The global pose moved by more than its uncertainty explained.
+    pub jumps: u64,
+    /// Chunks that had to be asked for.
+    pub chunks_pulled: u64,
+}
+
+/// The vehicle's state machine.
+pub struct Node {
+    settings: NodeSettings,
+    calibration: Calibration,
+    slam: Vslam,
+    role: Role,
+    shelf: Shelf,
+    reconciler: Reconciler,
+    beacon: BeaconTimer,
+    counters: NodeCounters,
+    status: Status,
+    was_global: bool,
+    pose_published_at: Option<Timestamp>,
+}
+
+/// What ties the own map to the Earth.
+enum Role {
+    Peer(Box<PeerRole>),
+}
+
+impl Node {
+    /// A vehicle without a position source.
+    pub fn peer(settings: NodeSettings, calibration: Calibration) -> Self {
+        let role = Role::Peer(Box::new(PeerRole::new(settings.seed)));
+        Self::new(settings, calibration, role)
+    }
+
+    fn new(settings: NodeSettings, calibration: Calibration, role: Role) -> Self {
+        let slam_settings = VslamSettings {
+            seed: settings.seed,
+            ..VslamSettings::default()
+        };
+        Self {
+            slam: Vslam::new(calibration.camera.clone(), slam_settings),
+            beacon: BeaconTimer::new(&settings.id),
+            reconciler: Reconciler::new(settings.id.clone()),
+            settings,
+            calibration,
+            role,
+            shelf: Shelf::default(),
+            counters: NodeCounters::default(),
+            status: Status::start(),
+            was_global: false,
+            pose_published_at: None,
+        }
+    }
+
+    /// Takes one event and says what is to be done about it.
+    pub fn handle(&mut self, event: Event, now: Timestamp) -> Vec<Effect> {
+        let mut effects = Vec::new();
+        match event {
+            Event::Frame { captured_at, image } => {
+                self.take_frame(&image, captured_at, now, &mut effects);
+            }
+            Event::Message { key, payload } => {
+                self.take_message(&key, &payload, now, &mut effects);
+            }
+            Event::Reply {
+                request,
+                key,
+                payload,
+            } => self.take_reply(request, &key, &payload, now, &mut effects),
+            Event::RequestEnded { request } => self.reconciler.request_ended(request, now),
+            Event::NeighbourCame => self.beacon.hasten(),
+            Event::NeighbourLeft => {}
+            Event::Tick => {}
+        }
+        self.keep_in_touch(now, &mut effects);
+        effects
+    }
+
+    /// A beacon at once, so that somebody new hears what is held here.
+    pub fn greet(&mut self, now: Timestamp) -> Vec<Effect> {
+        let mut effects = Vec::new();
+        self.beacon.hasten();
+        self.keep_in_touch(now, &mut effects);
+        effects
+    }
+
+    pub fn status(&self) -> &Status {
+        &self.status
+    }
+
+    pub fn counters(&self) -> NodeCounters {
+        self.counters
+    }
+
+    pub fn role_name(&self) -> &'static str {
+        match self.role {
+            Role::Peer(_) => "peer",
+        }
+    }
+
+    pub fn slam(&self) -> &Vslam {
+        &self.slam
+    }
+
+    /// Requests that were sent and have not ended.
+    pub fn open_request_count(&self) -> usize {
+        self.reconciler.open_request_count()
+    }
+
+    /// Where the own map stands, as known now.
+    pub fn enu_from_map(&self, now: Timestamp) -> Option<Similarity<Enu, Map>> {
+        match &self.role {
+            Role::Peer(role) => role.enu_from_map(now),
+        }
+    }
+
+    /// The points of every anchor's map in the global frame.
+    pub fn landmarks_in_enu(&self) -> Vec<Vector3<f64>> {
+        match &self.role {
+            Role::Peer(role) => role.landmarks_in_enu(),
+        }
+    }
+
+    /// Sends the beacon when it is due, and asks for what is missing.
+    fn keep_in_touch(&mut self, now: Timestamp, effects: &mut Vec<Effect>) {
+        if let Some(payload) = self.beacon.next(&self.settings.id, &self.shelf, now) {
+            effects.push(Effect::Keep(Kept::Beacon(Arc::clone(&payload))));
+            effects.push(Effect::Publish {
+                class: Class::Notice,
+                key: Key::Have(self.settings.id.clone()),
+                payload,
+            });
+        }
+        for (request, selector) in self.reconciler.ask(&self.shelf, now) {
+            effects.push(Effect::Request { request, selector });
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! What arrives from others: parsed at this door, trusted behind it.
+
+use std::sync::Arc;
+
+use geometry::Timestamp;
+use protocol::keys::Key;
+use protocol::{
+    Chunk, ChunkId, Have, Manifest, MapId, Placement, PlacementPage, Pose, decode,
+};
+
+use super::shelf::Taken;
+use super::{Effect, Kept, Node, Role};
+use crate::link::RequestId;
+
+/// Why a message is not taken.
+#[derive(Debug, thiserror::Error)]
+enum Refusal {
+    #[error(transparent)]
+    Key(#[from] protocol::keys::KeyError),
+    #[error(transparent)]
+    Body(#[from] protocol::DecodeError),
+    #[error("the body is of {body}, the key of {key}")]
+    Mismatch { body: String, key: String },
+    #[error("nobody publishes under this key")]
+    Misplaced,
+}
+
+impl Node {
+    pub(super) fn take_message(
+        &mut self,
+        key: &str,
+        payload: &Arc<[u8]>,
+        now: Timestamp,
+        effects: &mut Vec<Effect>,
+    ) {
+        let taken = key
+            .parse()
+            .map_err(Refusal::from)
+            .and_then(|parsed: Key| self.take(parsed, payload, now, effects));
+        if let Err(refusal) = taken {
+            self.count_malformed(key, &refusal);
+        }
+    }
+
+    pub(super) fn take_reply(
+        &mut self,
+        request: RequestId,
+        key: &str,
+        payload: &Arc<[u8]>,
+        now: Timestamp,
+        effects: &mut Vec<Effect>,
+    ) {
+        if self.reconciler.is_pull(request) {
+            self.counters.chunks_pulled += 1;
+        }
+        self.take_message(key, payload, now, effects);
+    }
+
+    fn take(
+        &mut self,
+        key: Key,
+        payload: &Arc<[u8]>,
+        now: Timestamp,
+        effects: &mut Vec<Effect>,
+    ) -> Result<(), Refusal> {
+        match key {
+            Key::Chunk(id) | Key::HeldChunk(_, id) => self.take_chunk(&id, payload, effects),
+            Key::Manifest(anchor) => {
+                let manifest: Manifest = decode(payload)?;
+                matches(&manifest.map.anchor, &anchor)?;
+                self.take_manifest(manifest, effects);
+                Ok(())
+            }
+            Key::Placement(map) => {
+                let placement: Placement = decode(payload)?;
+                matches(&placement.map, &map)?;
+                self.take_placement(placement, effects);
+                Ok(())
+            }
+            Key::PlacementPage(map, page) => {
+                let body: PlacementPage = decode(payload)?;
+                matches(body.map(), &map)?;
+                matches(&body.page(), &page)?;
+                self.take_page(body, effects);
+                Ok(())
+            }
+            Key::Have(vehicle) => {
+                let have: Have = decode(payload)?;
+                matches(&have.vehicle, &vehicle)?;
+                self.reconciler.hear(have, now);
+                Ok(())
+            }
+            Key::Pose(vehicle) => {
+                let pose: Pose = decode(payload)?;
+                matches(&pose.vehicle, &vehicle)
+            }
+            Key::Alive(_) => Err(Refusal::Misplaced),
+        }
+    }
+
+    fn take_chunk(
+        &mut self,
+        id: &ChunkId,
+        payload: &Arc<[u8]>,
+        effects: &mut Vec<Effect>,
+    ) -> Result<(), Refusal> {
+        let chunk: Chunk = decode(payload)?;
+        matches(chunk.id(), id)?;
+        match self.shelf.take_chunk(&chunk, payload) {
+            Taken::New => {
+                self.counters.chunks_received += 1;
+                effects.push(Effect::Keep(Kept::Chunk(id.clone(), Arc::clone(payload))));
+                if let Role::Peer(role) = &mut self.role {
+                    let page = self.shelf.map(&id.map);
+                    let page = page.and_then(|held| held.pages.get(&id.number.page()));
+                    role.take_chunk(&chunk, page);
+                }
+            }
+            Taken::Known => self.counters.duplicates += 1,
+            Taken::Equivocation => self.count_equivocation(&id.map, "chunk"),
+            Taken::Full => {}
+        }
+        Ok(())
+    }
+
+    fn take_manifest(&mut self, manifest: Manifest, effects: &mut Vec<Effect>) {
+        self.reconciler.learn(&manifest, &self.shelf);
+        if self.shelf.take_manifest(manifest.clone()) == Taken::New {
+            effects.push(Effect::Keep(Kept::Manifest(manifest)));
+        }
+    }
+
+    fn take_placement(&mut self, placement: Placement, effects: &mut Vec<Effect>) {
+        match self.shelf.take_placement(placement.clone()) {
+            Taken::New => {
+                if let Role::Peer(role) = &mut self.role {
+                    role.take_placement(&placement);
+                }
+                effects.push(Effect::Keep(Kept::Placement(placement)));
+            }
+            Taken::Equivocation => self.count_equivocation(&placement.map, "placement"),
+            Taken::Known | Taken::Full => {}
+        }
+    }
+
+    fn take_page(&mut self, page: PlacementPage, effects: &mut Vec<Effect>) {
+        match self.shelf.take_page(page.clone()) {
+            Taken::New => {
+                if let Role::Peer(role) = &mut self.role {
+                    role.take_page(&page);
+                }
+                effects.push(Effect::Keep(Kept::Page(page)));
+            }
+            Taken::Equivocation => self.count_equivocation(page.map(), "placement page"),
+            Taken::Known | Taken::Full => {}
+        }
+    }
+
+    fn count_malformed(&mut self, key: &str, refusal: &Refusal) {
+        self.counters.malformed += 1;
+        if self.counters.malformed == 1 {
+            let key: String = key.chars().take(80).collect();
+            tracing::warn!(%refusal, key, "message ignored; further ones are only counted");
+        }
+    }
+
+    fn count_equivocation(&mut self, map: &MapId, what: &str) {
+        self.counters.equivocations += 1;
+        if self.counters.equivocations == 1 {
+            tracing::warn!(%map, what, "two bodies under one key; the first is kept");
+        }
+    }
+}
+
+fn matches<T: PartialEq + std::fmt::Debug>(body: &T, key: &T) -> Result<(), Refusal> {
+    if body == key {
+        return Ok(());
+    }
+    Err(Refusal::Mismatch {
+        body: format!("{body:?}"),
+        key: format!("{key:?}"),
+    })
+}
