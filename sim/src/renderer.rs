@@ -17,7 +17,7 @@ use geometry::{Camera, Enu, Transform};
 use nalgebra::Vector3;
 
 use crate::paint::paint;
-use crate::picture::Picture;
+use crate::picture::{LANES, Picture};
 use crate::world::{Panel, World};
 use facets::Facet;
 use lens::Lens;
@@ -66,9 +66,9 @@ pub struct Renderer {
     shades: Vec<f32>,
 }
 
-/// Room for motion blur around the picture.
-const MARGIN_PX: usize = 6;
-const TILE_PX: usize = 8;
+/// Room around the picture for motion blur, and for the rest of tiles cut by the edge.
+const MARGIN_PX: usize = TILE_PX;
+const TILE_PX: usize = LANES;
 
 impl Renderer {
     pub fn new(scene: Arc<Scene>, camera: &CameraModel, sensor: SensorSettings) -> Self {

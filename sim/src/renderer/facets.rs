@@ -4,7 +4,7 @@ use geometry::{Camera, Enu, Transform};
 use nalgebra::Vector3;
 
 use super::lens::{Lens, Window};
-use crate::picture::{Footprint, Picture};
+use crate::picture::{Footprints, LANES, Lanes, Picture};
 use crate::world::Panel;
 
 /// A linear form `x_slope · x + y_slope · y + constant` on the ideal plane.
@@ -54,6 +54,8 @@ pub struct Facet {
     pub window: Window,
     width_m: f32,
     height_m: f32,
+    /// Steps on the ideal plane per pixel.
+    per_focal: [f32; 2],
 }
 
 /// How a facet lies on a tile.
@@ -102,6 +104,7 @@ impl Facet {
             window,
             width_m: panel.width_m as f32,
             height_m: panel.height_m as f32,
+            per_focal: lens.focal_px.map(f32::recip),
         };
         facet.window.touches(&lens.view).then_some(facet)
     }
@@ -128,26 +131,43 @@ impl Facet {
         })
     }
 
-    /// The shade that a pixel with this ray sees; beyond the facet's edge, that of the edge.
+    /// Adds to `shades` what pixels with these rays see, times their weights; beyond the facet's
+    /// edge, what is at the edge.
     #[inline]
-    pub fn shade(&self, picture: &Picture, ray: [f32; 2], lens: &Lens) -> f32 {
-        let depth = 1.0 / self.inverse_depth.at(ray).max(1e-4);
-        let u_m = (self.right.at(ray) * depth).clamp(0.0, self.width_m);
-        let v_m = (self.down.at(ray) * depth).clamp(0.0, self.height_m);
-        let scale = depth * picture.texels_per_m();
-        let (per_column, per_row) = (scale / lens.focal_px[0], scale / lens.focal_px[1]);
+    pub fn add_shades(
+        &self,
+        picture: &Picture,
+        rays: [&Lanes; 2],
+        weights: &Lanes,
+        shades: &mut [f32],
+    ) {
+        let texels_per_m = picture.texels_per_m();
         let (right, down, inverse) = (&self.right, &self.down, &self.inverse_depth);
-        let footprint = Footprint {
-            right: [
-                (right.x_slope - u_m * inverse.x_slope) * per_column,
-                (down.x_slope - v_m * inverse.x_slope) * per_column,
-            ],
-            down: [
-                (right.y_slope - u_m * inverse.y_slope) * per_row,
-                (down.y_slope - v_m * inverse.y_slope) * per_row,
-            ],
+        let mut footprints = Footprints {
+            position: [[0.0; LANES]; 2],
+            right: [[0.0; LANES]; 2],
+            down: [[0.0; LANES]; 2],
         };
-        picture.sample(u_m, v_m, &footprint)
+        for lane in 0..LANES {
+            let ray = [rays[0][lane], rays[1][lane]];
+            let scale = texels_per_m / inverse.at(ray).max(1e-4);
+            let u = (right.at(ray) * scale)
+                .max(0.0)
+                .min(self.width_m * texels_per_m);
+            let v = (down.at(ray) * scale)
+                .max(0.0)
+                .min(self.height_m * texels_per_m);
+            footprints.position[0][lane] = u;
+            footprints.position[1][lane] = v;
+            let per_column = self.per_focal[0] * scale;
+            let per_row = self.per_focal[1] * scale;
+            let (u_m, v_m) = (u / texels_per_m, v / texels_per_m);
+            footprints.right[0][lane] = (right.x_slope - u_m * inverse.x_slope) * per_column;
+            footprints.right[1][lane] = (down.x_slope - v_m * inverse.x_slope) * per_column;
+            footprints.down[0][lane] = (right.y_slope - u_m * inverse.y_slope) * per_row;
+            footprints.down[1][lane] = (down.y_slope - v_m * inverse.y_slope) * per_row;
+        }
+        picture.add_samples(&footprints, weights, shades);
     }
 }
 

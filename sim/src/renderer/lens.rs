@@ -4,14 +4,16 @@ use camera::CameraModel;
 use nalgebra::Vector2;
 
 use super::{MARGIN_PX, TILE_PX};
+use crate::picture::Lanes;
 
 /// Pixels and their rays `(x, y, 1)` on the ideal plane.
 pub struct Lens {
     pub width: usize,
     pub height: usize,
     pub focal_px: [f32; 2],
-    /// Row by row, without margin.
-    pub rays: Vec<[f32; 2]>,
+    /// x and y, row by row; each row is filled up to whole tiles.
+    rays: [Vec<f32>; 2],
+    rays_stride: usize,
     /// All that the camera sees.
     pub view: Window,
 }
@@ -49,16 +51,16 @@ impl Window {
 impl Lens {
     pub fn new(camera: &CameraModel) -> Self {
         let (width, height) = (camera.width(), camera.height());
-        let mut rays = Vec::with_capacity(width * height);
+        let rays_stride = width.next_multiple_of(TILE_PX);
+        let mut rays = [Vec::new(), Vec::new()];
+        let mut last = Vector2::zeros();
         for y in 0..height {
-            for x in 0..width {
+            for x in 0..rays_stride {
+                let pixel = Vector2::new(x.min(width - 1) as f64, y as f64);
                 // A pixel without a ray takes its neighbour's.
-                let ray = camera
-                    .undistort(&Vector2::new(x as f64, y as f64))
-                    .map(|ideal| [ideal.x as f32, ideal.y as f32])
-                    .or(rays.last().copied())
-                    .unwrap_or([0.0, 0.0]);
-                rays.push(ray);
+                last = camera.undistort(&pixel).unwrap_or(last);
+                rays[0].push(last.x as f32);
+                rays[1].push(last.y as f32);
             }
         }
         let intrinsics = camera.intrinsics();
@@ -67,12 +69,30 @@ impl Lens {
             height,
             focal_px: [intrinsics.fx as f32, intrinsics.fy as f32],
             rays,
+            rays_stride,
             view: Window::EMPTY,
         };
         for tile_idx in 0..lens.tile_columns() * lens.tile_rows() {
             lens.view.unite(&lens.tile_window(tile_idx));
         }
         lens
+    }
+
+    /// The ray of a pixel.
+    pub fn ray(&self, x: usize, y: usize) -> [f32; 2] {
+        let place = y * self.rays_stride + x;
+        [self.rays[0][place], self.rays[1][place]]
+    }
+
+    /// The rays of a tile's row that begins with this pixel: all x, then all y.
+    #[inline]
+    pub fn ray_lanes(&self, x: usize, y: usize) -> [&Lanes; 2] {
+        let place = y * self.rays_stride + x;
+        [0, 1].map(|axis| {
+            self.rays[axis][place..]
+                .first_chunk()
+                .expect("rows are filled up to whole tiles")
+        })
     }
 
     /// The length of a row in a buffer with margin.
@@ -109,7 +129,7 @@ impl Lens {
         let mut window = Window::EMPTY;
         for y in ys {
             for x in xs.clone() {
-                window.include(self.rays[y * self.width + x]);
+                window.include(self.ray(x, y));
             }
         }
         for axis in 0..2 {

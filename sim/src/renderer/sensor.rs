@@ -52,19 +52,23 @@ const NOISE_COUNT: usize = 1 << 16;
 /// Blur shorter than this is not worth a filter, pixels.
 const BLUR_PX_MIN: f32 = 0.2;
 /// Blur reaches at most to the margin on either side.
-const BLUR_PX_MAX: f32 = 2.0 * (MARGIN_PX as f32 - 1.0);
+const BLUR_PX_MAX: f32 = 2.0 * (MARGIN_PX as f32 - 2.0);
 
 impl Sensor {
     pub fn new(settings: SensorSettings, lens: &Lens) -> Self {
-        let radius_squared = |ray: &[f32; 2]| ray[0] * ray[0] + ray[1] * ray[1];
-        let most = lens.rays.iter().map(radius_squared).fold(1e-6, f32::max);
+        let rows = 0..lens.height;
+        let radii_squared: Vec<f32> = rows
+            .flat_map(|y| (0..lens.width).map(move |x| lens.ray(x, y)))
+            .map(|ray| ray[0] * ray[0] + ray[1] * ray[1])
+            .collect();
+        let most = radii_squared.iter().copied().fold(1e-6, f32::max);
         let transmission =
-            |ray: &[f32; 2]| 1.0 - settings.vignette as f32 * radius_squared(ray) / most;
+            |radius_squared: f32| 1.0 - settings.vignette as f32 * radius_squared / most;
         let mut rng = ChaCha8Rng::seed_from_u64(0x5e_4501);
         let row = lens.width.next_multiple_of(TILE_PX);
         Self {
             settings,
-            vignette: lens.rays.iter().map(transmission).collect(),
+            vignette: radii_squared.into_iter().map(transmission).collect(),
             noise: (0..NOISE_COUNT + row)
                 .map(|_| rng.sample(StandardNormal))
                 .collect(),
@@ -100,7 +104,7 @@ impl Sensor {
     fn taps(&self, shot: &Shot, lens: &Lens, tile_idx: usize, inverse_depth: f32) -> Vec<Tap> {
         let [xs, ys] = lens.tile_pixels(tile_idx);
         let (x, y) = (xs.start.midpoint(xs.end), ys.start.midpoint(ys.end));
-        let ray = lens.rays[y * lens.width + x];
+        let ray = lens.ray(x, y);
         let per_s = image_velocity(shot, ray, inverse_depth);
         let motion =
             [0, 1].map(|axis| per_s[axis] * lens.focal_px[axis] * self.settings.exposure_s as f32);

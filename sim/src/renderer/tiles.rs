@@ -3,7 +3,7 @@
 use super::TILE_PX;
 use super::facets::{Cover, EDGE_TOLERANCE, Facet, Form};
 use super::lens::{Lens, Window};
-use crate::picture::Picture;
+use crate::picture::{LANES, Lanes, Picture};
 
 /// Samples of a pixel, in pixels from its centre: a square turned so that none share a row.
 const SAMPLES_PX: [[f32; 2]; 4] = [
@@ -147,11 +147,10 @@ fn shade_filled(
 ) {
     let [xs, ys] = lens.tile_pixels(tile_idx);
     for y in ys {
-        let rays = &lens.rays[y * lens.width..][xs.clone()];
-        let start = lens.place(xs.start, y);
-        for (shade, ray) in shades[start..].iter_mut().zip(rays) {
-            *shade = facet.shade(picture, *ray, lens);
-        }
+        let row = &mut shades[lens.place(xs.start, y)..][..TILE_PX];
+        row.fill(0.0);
+        let rays = lens.ray_lanes(xs.start, y);
+        facet.add_shades(picture, rays, &[1.0; LANES], row);
     }
 }
 
@@ -185,22 +184,46 @@ struct SharedTile<'a> {
 const NOTHING: u32 = u32::MAX;
 
 impl SharedTile<'_> {
+    /// Returns 1/z of what is seen near the middle.
     fn shade(&self, tile_idx: usize, shades: &mut [f32]) -> f32 {
-        let lens = self.lens;
-        let [xs, ys] = lens.tile_pixels(tile_idx);
-        let middle = (xs.start + TILE_PX / 2, ys.start + TILE_PX / 2);
-        let mut inverse_depth_middle = 0.0;
+        let [xs, ys] = self.lens.tile_pixels(tile_idx);
+        let middle = ys.start.midpoint(ys.end);
+        let mut inverse_depth = 0.0;
         for y in ys {
-            for x in xs.clone() {
-                let ray = lens.rays[y * lens.width + x];
-                let (hits, inverse_depth) = self.hits(ray);
-                shades[lens.place(x, y)] = self.mix(&hits, ray);
-                if (x, y) <= middle || inverse_depth_middle == 0.0 {
-                    inverse_depth_middle = inverse_depth;
-                }
+            let row = &mut shades[self.lens.place(xs.start, y)..][..TILE_PX];
+            let nearest = self.shade_row([xs.start, y], row);
+            if y <= middle {
+                inverse_depth = nearest[LANES / 2];
             }
         }
-        inverse_depth_middle
+        inverse_depth
+    }
+
+    /// Shades each facet once per pixel, at its centre, weighted by the samples that it wins.
+    fn shade_row(&self, [x, y]: [usize; 2], row: &mut [f32]) -> Lanes {
+        let rays = self.lens.ray_lanes(x, y);
+        let mut hits = [[NOTHING; 4]; LANES];
+        let mut nearest = [0.0; LANES];
+        for lane in 0..LANES {
+            (hits[lane], nearest[lane]) = self.hits([rays[0][lane], rays[1][lane]]);
+        }
+        row.fill(0.0);
+        let samples =
+            |hits: &[u32; 4], wanted: u32| hits.iter().filter(|hit| **hit == wanted).count() as f32;
+        let hit_counts = hits.map(|hits| 4.0 - samples(&hits, NOTHING));
+        for contender in self.contenders {
+            let facet = &self.facets[contender.facet_idx as usize];
+            let mut weights = [0.0; LANES];
+            for lane in 0..LANES {
+                // Samples that slip through a seam count as what the others hit.
+                let count = samples(&hits[lane], contender.facet_idx);
+                weights[lane] = count / hit_counts[lane].max(1.0);
+            }
+            if weights.iter().sum::<f32>() > 0.0 {
+                facet.add_shades(&self.pictures[facet.panel_idx], rays, &weights, row);
+            }
+        }
+        nearest
     }
 
     /// The nearest facet at each sample, and the largest 1/z of them.
@@ -221,22 +244,5 @@ impl SharedTile<'_> {
             }
         }
         (hits, nearest.into_iter().fold(0.0, f32::max))
-    }
-
-    /// The mean over the samples; each facet is shaded once, at the pixel's centre.
-    #[inline]
-    fn mix(&self, hits: &[u32; 4], ray: [f32; 2]) -> f32 {
-        let mut sum = 0.0;
-        let mut weight = 0.0;
-        for (idx, &hit) in hits.iter().enumerate() {
-            if hit == NOTHING || hits[..idx].contains(&hit) {
-                continue;
-            }
-            let count = hits.iter().filter(|other| **other == hit).count() as f32;
-            let facet = &self.facets[hit as usize];
-            sum += count * facet.shade(&self.pictures[facet.panel_idx], ray, self.lens);
-            weight += count;
-        }
-        if weight > 0.0 { sum / weight } else { 0.0 }
     }
 }
