@@ -7,3 +7,7 @@ pub mod evaluate;
 pub mod files;
 pub mod link;
 pub mod node;
+pub mod position;
+pub mod store;
+pub mod plot;
+pub mod recorder;

@@ -3,6 +3,7 @@
 //! `handle(event, now)` takes what a driver or the link brought and returns what is to be done.
 //! The same code flies, replays a recording, and runs in simulated time.
 
+mod anchor_role;
 mod beacon;
 mod frame;
 mod peer_role;
@@ -13,15 +14,18 @@ mod status;
 
 use std::sync::Arc;
 
+use anchor::{AnchorSettings, PositionFix};
 use camera::{Calibration, Image};
+use geodesy::Datum;
 use geometry::{Camera, Enu, Map, Similarity, Timestamp, Transform};
 use nalgebra::{Matrix3, Vector3};
 use protocol::keys::Key;
-use protocol::{ChunkId, Manifest, Placement, PlacementPage, VehicleId, VehicleState};
+use protocol::{ChunkCamera, ChunkId, Manifest, Placement, PlacementPage, VehicleId, VehicleState};
 use vslam::{Vslam, VslamSettings};
 
 use crate::link::{Class, RequestId};
 use beacon::BeaconTimer;
+use anchor_role::{AnchorRole, Outlet};
 use peer_role::PeerRole;
 use reconcile::Reconciler;
 use shelf::Shelf;
@@ -35,6 +39,8 @@ pub enum Event {
         captured_at: Timestamp,
         image: Image,
     },
+    /// A position; comes before the frames that are newer than it.
+    Fix(PositionFix),
     /// Somebody published this.
     Message { key: String, payload: Arc<[u8]> },
     /// Somebody answered a request with this.
@@ -107,6 +113,15 @@ pub struct NodeSettings {
     pub seed: u64,
 }
 
+/// Where an anchor's fixes come from.
+#[derive(Clone, Debug)]
+pub struct PositionSource {
+    /// What the fixes are relative to; `None` for geodetic ones.
+    pub datum: Option<Datum>,
+    /// The lever arm: where the antenna is [m].
+    pub antenna_in_body: Vector3<f64>,
+}
+
 /// What went wrong or was odd, counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct NodeCounters {
@@ -141,6 +156,7 @@ pub struct Node {
 
 /// What ties the own map to the Earth.
 enum Role {
+    Anchor(Box<AnchorRole>),
     Peer(Box<PeerRole>),
 }
 
@@ -148,6 +164,30 @@ impl Node {
     /// A vehicle without a position source.
     pub fn peer(settings: NodeSettings, calibration: Calibration) -> Self {
         let role = Role::Peer(Box::new(PeerRole::new(settings.seed)));
+        Self::new(settings, calibration, role)
+    }
+
+    /// A vehicle with a position source.
+    ///
+    /// - `epoch_seed`: makes the random part of its epochs.
+    pub fn anchor(
+        settings: NodeSettings,
+        calibration: Calibration,
+        source: &PositionSource,
+        epoch_seed: u64,
+    ) -> Self {
+        let camera = &calibration.camera;
+        let chunk_camera = ChunkCamera {
+            focal_length_px: camera.intrinsics().fx as f32,
+            width_px: u16::try_from(camera.width()).unwrap_or(u16::MAX),
+            height_px: u16::try_from(camera.height()).unwrap_or(u16::MAX),
+        };
+        let mut anchor_settings = AnchorSettings::new(settings.id.clone(), chunk_camera);
+        anchor_settings.datum = source.datum.clone();
+        anchor_settings.stale_after_s = settings.stale_after_s;
+        anchor_settings.georeference.body_from_camera = calibration.body_from_camera;
+        anchor_settings.georeference.antenna_in_body = source.antenna_in_body;
+        let role = Role::Anchor(Box::new(AnchorRole::new(anchor_settings, epoch_seed)));
         Self::new(settings, calibration, role)
     }
 
@@ -187,6 +227,16 @@ impl Node {
                 payload,
             } => self.take_reply(request, &key, &payload, now, &mut effects),
             Event::RequestEnded { request } => self.reconciler.request_ended(request, now),
+            Event::Fix(fix) => {
+                if let Role::Anchor(role) = &mut self.role {
+                    let mut outlet = Outlet {
+                        shelf: &mut self.shelf,
+                        counters: &mut self.counters,
+                        effects: &mut effects,
+                    };
+                    role.take_fix(fix, self.slam.map(), now, &mut outlet);
+                }
+            }
             Event::NeighbourCame => self.beacon.hasten(),
             Event::NeighbourLeft => {}
             Event::Tick => {}
@@ -213,6 +263,7 @@ impl Node {
 
     pub fn role_name(&self) -> &'static str {
         match self.role {
+            Role::Anchor(_) => "anchor",
             Role::Peer(_) => "peer",
         }
     }
@@ -229,6 +280,7 @@ impl Node {
     /// Where the own map stands, as known now.
     pub fn enu_from_map(&self, now: Timestamp) -> Option<Similarity<Enu, Map>> {
         match &self.role {
+            Role::Anchor(role) => role.enu_from_map(),
             Role::Peer(role) => role.enu_from_map(now),
         }
     }
@@ -236,6 +288,7 @@ impl Node {
     /// The points of every anchor's map in the global frame.
     pub fn landmarks_in_enu(&self) -> Vec<Vector3<f64>> {
         match &self.role {
+            Role::Anchor(_) => Vec::new(),
             Role::Peer(role) => role.landmarks_in_enu(),
         }
     }

@@ -25,17 +25,16 @@ pub struct Answer {
 /// A key expression and parameters, as somebody asked them.
 pub struct Question {
     expression: KeyExpr<'static>,
-    parameters: Vec<(String, String)>,
+    parameters: String,
 }
 
 impl Question {
-    /// A question from text, for tests and for local use.
+    /// A question from the text of a selector; `None` if that is no key expression.
     pub fn parse(selector: &str) -> Option<Self> {
         let (expression, parameters) = selector.split_once('?').unwrap_or((selector, ""));
-        let parameters = zenoh::query::Parameters::from(parameters);
         Some(Self {
             expression: KeyExpr::try_from(expression.to_owned()).ok()?,
-            parameters: pairs(&parameters),
+            parameters: parameters.to_owned(),
         })
     }
 
@@ -44,17 +43,10 @@ impl Question {
         KeyExpr::try_from(key).is_ok_and(|key| self.expression.intersects(&key))
     }
 
-    pub fn parameter(&self, name: &str) -> Option<&str> {
-        let mut named = self.parameters.iter().filter(|(key, _)| key == name);
-        named.next().map(|(_, value)| value.as_str())
+    /// What follows the `?`.
+    pub fn parameters(&self) -> &str {
+        &self.parameters
     }
-}
-
-fn pairs(parameters: &zenoh::query::Parameters) -> Vec<(String, String)> {
-    parameters
-        .iter()
-        .map(|(name, value)| (name.to_owned(), value.to_owned()))
-        .collect()
 }
 
 /// Questions that wait; more are refused with an error.
@@ -96,7 +88,7 @@ fn answer_all(questions: &Receiver<Query>, holdings: &dyn Holdings, counters: &C
     while let Ok(query) = questions.recv() {
         let question = Question {
             expression: query.key_expr().clone(),
-            parameters: pairs(query.parameters()),
+            parameters: query.parameters().as_str().to_owned(),
         };
         for answer in holdings.answer(&question) {
             let bytes = answer.key.len() + answer.payload.len();

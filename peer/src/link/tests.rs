@@ -11,7 +11,7 @@ impl Holdings for Nothing {
     fn answer(&self, question: &Question) -> Vec<Answer> {
         let key = "vehicle/a/chunk/x/1-00000000/7".to_owned();
         let payload = Arc::from(&b"chunk seven"[..]);
-        let wanted = question.asks_for(&key) && question.parameter("since").is_none();
+        let wanted = question.asks_for(&key) && question.parameters().is_empty();
         wanted
             .then_some(Answer { key, payload })
             .into_iter()

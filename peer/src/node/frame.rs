@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use camera::Image;
 use geodesy::Datum;
-use geometry::{Camera, Enu, Timestamp, Transform};
-use nalgebra::{Matrix3, Matrix6};
+use geometry::{Body, Camera, Enu, Map, Matrix7, Similarity, Timestamp, Transform, so3};
+use nalgebra::{Matrix3, Matrix6, SMatrix};
 use protocol::keys::Key;
 use protocol::{GlobalPose, Pose, VehicleState, encode};
 use vslam::FrameReport;
 
+use super::anchor_role::Outlet;
 use super::peer_role::PeerRole;
 use super::status::{KnownTie, Limits, Status, Tie};
 use super::{Effect, FramePose, GlobalFramePose, Node, Role};
@@ -38,6 +39,15 @@ impl Node {
             Role::Peer(role) => {
                 role.take_frame(&report, self.slam.map());
                 tie_to_anchors(role, &report, now)
+            }
+            Role::Anchor(role) => {
+                let mut outlet = Outlet {
+                    shelf: &mut self.shelf,
+                    counters: &mut self.counters,
+                    effects,
+                };
+                role.take_frame(&report, self.slam.map(), now, &mut outlet);
+                role.tie(&report, now)
             }
         };
         self.counters.jumps = tied.jump_count;
@@ -128,14 +138,14 @@ fn tie_to_anchors(role: &PeerRole, report: &FrameReport, now: Timestamp) -> Tied
             estimate.pose_covariance(map_from_camera, report.pose_covariance.as_ref());
         (estimate.enu_from_camera(map_from_camera), covariance)
     });
-    let conflict = estimate.conflict.then(|| {
+    let objection = estimate.conflict.then(|| {
         let others = role.names(&estimate.inconsistent_anchors);
         format!("conflict: {} and {others} contradict each other", role.names(&estimate.anchors))
     });
     let tie = Tie::Known(KnownTie {
         age_s: estimate.age_s,
         position_sigma_m: pose.as_ref().map(|(_, covariance)| worst_sigma_m(covariance)),
-        conflict,
+        objection,
         basis: format!("registered to {}", role.names(&estimate.anchors)),
     });
     TiedPose {
@@ -145,6 +155,46 @@ fn tie_to_anchors(role: &PeerRole, report: &FrameReport, now: Timestamp) -> Tied
         fix_sigma_m: role.fix_sigma_m(),
         jump_count: estimate.jump_count,
     }
+}
+
+/// The covariance of a camera's pose in the global frame, `[ω; p]` in the global axes.
+///
+/// - `map_covariance`: of `enu_from_map`, `[ω; ν; ln s]`, right perturbation.
+/// - `own_covariance`: of `map_from_camera`, `[ω; ν]`, right perturbation.
+pub(super) fn pose_covariance(
+    enu_from_map: &Similarity<Enu, Map>,
+    map_covariance: &Matrix7,
+    map_from_camera: &Transform<Map, Camera>,
+    own_covariance: Option<&Matrix6<f64>>,
+) -> Matrix6<f64> {
+    // S exp(δ) x ≈ S x + s R (ω × x + ν + λ x).
+    let linear = enu_from_map.linear_matrix();
+    let rotation = linear / enu_from_map.scale();
+    let position = map_from_camera.translation();
+    let mut d_pose_d_map = SMatrix::<f64, 6, 7>::zeros();
+    d_pose_d_map
+        .fixed_view_mut::<3, 3>(0, 0)
+        .copy_from(&rotation);
+    d_pose_d_map
+        .fixed_view_mut::<3, 3>(3, 0)
+        .copy_from(&(-linear * so3::hat(position)));
+    d_pose_d_map.fixed_view_mut::<3, 3>(3, 3).copy_from(&linear);
+    d_pose_d_map
+        .fixed_view_mut::<3, 1>(3, 6)
+        .copy_from(&(linear * position));
+    let mut covariance = d_pose_d_map * map_covariance * d_pose_d_map.transpose();
+    if let Some(own_covariance) = own_covariance {
+        let axes = map_from_camera.rotation_matrix();
+        let mut d_pose_d_own = Matrix6::zeros();
+        d_pose_d_own
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&(rotation * axes));
+        d_pose_d_own
+            .fixed_view_mut::<3, 3>(3, 3)
+            .copy_from(&(linear * axes));
+        covariance += d_pose_d_own * own_covariance * d_pose_d_own.transpose();
+    }
+    covariance
 }
 
 fn position_block(covariance: &Matrix6<f64>) -> Matrix3<f64> {
@@ -159,7 +209,7 @@ pub(super) fn worst_sigma_m(covariance: &Matrix6<f64>) -> f64 {
 
 /// From `[ω; p]` in the global axes about the camera to `[ω; ν]` in the body's axes. The lever
 /// between body and camera is centimetres, and its share of the covariance is left out.
-fn in_body_axes(covariance: &Matrix6<f64>, enu_from_body: &Transform<Enu, geometry::Body>) -> Matrix6<f64> {
+fn in_body_axes(covariance: &Matrix6<f64>, enu_from_body: &Transform<Enu, Body>) -> Matrix6<f64> {
     let body_axes = enu_from_body.rotation_matrix().transpose();
     let mut turn = Matrix6::zeros();
     turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&body_axes);

@@ -25,8 +25,8 @@ pub struct KnownTie {
     pub age_s: f64,
     /// One sigma of the position along its worst axis; `None` without a pose.
     pub position_sigma_m: Option<f64>,
-    /// Who contradicts whom, if nothing decides between them.
-    pub conflict: Option<String>,
+    /// Why it is not to be trusted, such as anchors that contradict each other.
+    pub objection: Option<String>,
     /// What the estimate rests on.
     pub basis: String,
 }
@@ -78,8 +78,8 @@ impl Status {
 
 impl KnownTie {
     fn objection(&self, limits: &Limits) -> Option<String> {
-        if let Some(conflict) = &self.conflict {
-            return Some(conflict.clone());
+        if self.objection.is_some() {
+            return self.objection.clone();
         }
         if self.age_s > limits.stale_after_s {
             return Some(format!("nothing accepted for {:.0} s", self.age_s));

@@ -1,0 +1,225 @@
+//! With a position source: the own map is tied to the Earth and shared with the team.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use anchor::{
+    Anchor, AnchorSettings, Effect as AnchorEffect, Event as AnchorEvent, FrameInput,
+    KeyframeInput, KeyframePose, PositionFix, keyframe_poses,
+};
+use geodesy::Datum;
+use geometry::{Enu, Map, Similarity, Timestamp};
+use protocol::keys::Key;
+use protocol::{Epoch, VehicleState, encode};
+use vslam::{FrameReport, KeyframeId, VslamMap};
+
+use super::frame::{TiedPose, pose_covariance, worst_sigma_m};
+use super::shelf::Shelf;
+use super::status::{KnownTie, Tie};
+use super::{Effect, Kept, NodeCounters};
+use crate::link::Class;
+
+/// The anchor's state machine, fed from the own map.
+pub struct AnchorRole {
+    anchor: Anchor,
+    own_map: Option<vslam::MapId>,
+    map_revision: u64,
+    epoch_seed: u64,
+    epoch_count: u64,
+}
+
+/// Where the effects of the role go.
+pub struct Outlet<'a> {
+    pub shelf: &'a mut Shelf,
+    pub counters: &'a mut NodeCounters,
+    pub effects: &'a mut Vec<Effect>,
+}
+
+impl AnchorRole {
+    /// - `epoch_seed`: makes the random part of epochs.
+    pub fn new(settings: AnchorSettings, epoch_seed: u64) -> Self {
+        let epoch = Epoch {
+            counter: 1,
+            random: epoch_random(epoch_seed, 0),
+        };
+        Self {
+            anchor: Anchor::new(settings, epoch),
+            own_map: None,
+            map_revision: 0,
+            epoch_seed,
+            epoch_count: 1,
+        }
+    }
+
+    pub fn take_fix(
+        &mut self,
+        fix: PositionFix,
+        map: &VslamMap,
+        now: Timestamp,
+        outlet: &mut Outlet<'_>,
+    ) {
+        self.drive(VecDeque::from([AnchorEvent::Fix(fix)]), map, now, outlet);
+    }
+
+    /// Tells the anchor what a frame did to the own map, and carries out what it wants.
+    pub fn take_frame(
+        &mut self,
+        report: &FrameReport,
+        map: &VslamMap,
+        now: Timestamp,
+        outlet: &mut Outlet<'_>,
+    ) {
+        let mut events = VecDeque::new();
+        if self.own_map.is_some_and(|known| known != report.map_id) {
+            let epoch_random = epoch_random(self.epoch_seed, self.epoch_count);
+            self.epoch_count += 1;
+            events.push_back(AnchorEvent::MapRestarted { epoch_random });
+        }
+        self.own_map = Some(report.map_id);
+        let new_keyframe = report.new_keyframe.and_then(|id| map.keyframe(id));
+        if let Some(keyframe) = new_keyframe {
+            let pose = KeyframePose::from(keyframe);
+            events.push_back(AnchorEvent::KeyframeInserted(pose));
+        }
+        if new_keyframe.is_some() || self.map_revision != report.map_revision {
+            self.map_revision = report.map_revision;
+            events.push_back(AnchorEvent::KeyframesMoved(keyframe_poses(map)));
+        }
+        if let Some(map_from_camera) = report.map_from_camera {
+            events.push_back(AnchorEvent::Frame(FrameInput {
+                captured_at: report.captured_at,
+                map_from_camera,
+                up_in_camera: None,
+            }));
+        }
+        events.extend(report.settled.iter().filter_map(|id| settled(map, *id)));
+        events.push_back(AnchorEvent::Tick);
+        self.drive(events, map, now, outlet);
+    }
+
+    /// What the own pose is and rests on.
+    pub fn tie(&self, report: &FrameReport, now: Timestamp) -> TiedPose {
+        let fix_sigma_m = self.anchor.georeference().map(|known| known.fix_sigma_m);
+        let datum = self.anchor.datum().cloned();
+        let (state, reason) = self.anchor.state();
+        let (Some(known), Some((enu_from_map, covariance))) =
+            (self.anchor.georeference(), self.anchor.enu_from_map())
+        else {
+            return TiedPose {
+                tie: Tie::None {
+                    reason: reason.to_owned(),
+                },
+                pose: None,
+                datum,
+                fix_sigma_m,
+                jump_count: 0,
+            };
+        };
+        let pose = report.map_from_camera.as_ref().map(|map_from_camera| {
+            let own = report.pose_covariance.as_ref();
+            let covariance = pose_covariance(&enu_from_map, &covariance, map_from_camera, own);
+            (enu_from_map.transform_pose(map_from_camera), covariance)
+        });
+        let tie = Tie::Known(KnownTie {
+            age_s: now - known.newest_fix_at,
+            position_sigma_m: pose.as_ref().map(|(_, covariance)| worst_sigma_m(covariance)),
+            objection: (state != VehicleState::Global).then(|| reason.to_owned()),
+            basis: reason.to_owned(),
+        });
+        TiedPose {
+            tie,
+            pose,
+            datum,
+            fix_sigma_m,
+            jump_count: 0,
+        }
+    }
+
+    /// The one similarity that fits the whole map best.
+    pub fn enu_from_map(&self) -> Option<Similarity<Enu, Map>> {
+        Some(self.anchor.georeference()?.enu_from_map)
+    }
+
+    pub fn datum(&self) -> Option<&Datum> {
+        self.anchor.datum()
+    }
+
+    pub fn fix_counts(&self) -> anchor::FixCounts {
+        self.anchor.counts().fixes
+    }
+
+    fn drive(
+        &mut self,
+        mut events: VecDeque<AnchorEvent>,
+        map: &VslamMap,
+        now: Timestamp,
+        outlet: &mut Outlet<'_>,
+    ) {
+        while let Some(event) = events.pop_front() {
+            for effect in self.anchor.handle(event, now) {
+                match effect {
+                    AnchorEffect::RequestKeyframe(id) => events.extend(settled(map, id)),
+                    other => outlet.publish(other),
+                }
+            }
+        }
+    }
+}
+
+impl Outlet<'_> {
+    fn publish(&mut self, effect: AnchorEffect) {
+        match effect {
+            AnchorEffect::PublishChunk { chunk, bytes } => {
+                let payload: Arc<[u8]> = Arc::from(bytes);
+                self.shelf.take_chunk(&chunk, &payload);
+                self.counters.chunks_published += 1;
+                let id = chunk.id().clone();
+                let kept = Kept::Chunk(id.clone(), Arc::clone(&payload));
+                self.send(kept, Class::Bulk, Key::Chunk(id), payload);
+            }
+            AnchorEffect::PublishPlacement(placement) => {
+                self.shelf.take_placement(placement.clone());
+                let key = Key::Placement(placement.map.clone());
+                let payload = Arc::from(encode(&placement));
+                self.send(Kept::Placement(placement), Class::Notice, key, payload);
+            }
+            AnchorEffect::PublishPage(page) => {
+                self.shelf.take_page(page.clone());
+                let key = Key::PlacementPage(page.map().clone(), page.page());
+                let payload = Arc::from(encode(&page));
+                self.send(Kept::Page(page), Class::Notice, key, payload);
+            }
+            AnchorEffect::PublishManifest(manifest) => {
+                self.shelf.take_manifest(manifest.clone());
+                let key = Key::Manifest(manifest.map.anchor.clone());
+                let payload = Arc::from(encode(&manifest));
+                self.send(Kept::Manifest(manifest), Class::Notice, key, payload);
+            }
+            AnchorEffect::StateChanged { state, reason } => {
+                tracing::info!(%state, reason, "anchor");
+            }
+            AnchorEffect::RequestKeyframe(_) => {}
+        }
+    }
+
+    fn send(&mut self, kept: Kept, class: Class, key: Key, payload: Arc<[u8]>) {
+        self.effects.push(Effect::Keep(kept));
+        self.effects.push(Effect::Publish {
+            class,
+            key,
+            payload,
+        });
+    }
+}
+
+fn settled(map: &VslamMap, id: KeyframeId) -> Option<AnchorEvent> {
+    KeyframeInput::from_map(map, id).map(AnchorEvent::KeyframeSettled)
+}
+
+/// The random part of an epoch: SplitMix64 of seed and count.
+fn epoch_random(seed: u64, count: u64) -> u32 {
+    let mut mixed = seed.wrapping_add((count + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    (mixed >> 32) as u32
+}

@@ -1,0 +1,115 @@
+use geodesy::Datum;
+use geometry::{Matrix7, Similarity, Timestamp};
+use nalgebra::UnitQuaternion;
+use protocol::{ChunkCamera, ChunkHeader, ChunkPlacement, ChunkPoint, Epoch, Reference};
+
+use super::*;
+
+fn vehicle(name: &str) -> VehicleId {
+    VehicleId::new(name).unwrap()
+}
+
+fn map() -> MapId {
+    MapId {
+        anchor: vehicle("ugv1"),
+        epoch: "1-0000000a".parse::<Epoch>().unwrap(),
+    }
+}
+
+/// A store with three chunks of one point each, at 1, 11 and 21 m east.
+fn store() -> Store {
+    let store = Store::new(vehicle("drone1"));
+    let mut placements = Vec::new();
+    for number in (0..3).map(ChunkNumber) {
+        let id = ChunkId { map: map(), number };
+        let header = ChunkHeader {
+            id: id.clone(),
+            captured_at: Timestamp::default(),
+            camera: ChunkCamera {
+                focal_length_px: 180.0,
+                width_px: 324,
+                height_px: 244,
+            },
+            replaces: Vec::new(),
+            reference: Reference::Fixed,
+            provenance: Vec::new(),
+            signature: Vec::new(),
+        };
+        let point = ChunkPoint {
+            position_in_chunk: Vector3::new(0.0, 0.0, 1.0),
+            depth_sigma: 0.01,
+            descriptor: [1; 32],
+        };
+        let chunk = Chunk::new(header, &[point]).unwrap();
+        store.keep(Kept::Chunk(id, Arc::from(encode(&chunk))));
+        let east_m = 1.0 + 10.0 * f64::from(number.0);
+        let translation = Vector3::new(east_m, 0.0, 0.0);
+        placements.push(ChunkPlacement {
+            number,
+            map_from_chunk: Similarity::new(1.0, UnitQuaternion::identity(), translation),
+        });
+    }
+    store.keep(Kept::Page(PlacementPage::new(map(), 0, 1, &placements)));
+    store.keep(Kept::Placement(Placement {
+        map: map(),
+        revision: 2,
+        captured_at: Timestamp::default(),
+        datum: Datum::site("lab").unwrap(),
+        enu_from_map: Similarity::identity(),
+        covariance: Matrix7::identity(),
+        fix_sigma_m: 0.02,
+        reference: Reference::Fixed,
+        provenance: Vec::new(),
+        signature: Vec::new(),
+    }));
+    store.keep(Kept::Manifest(Manifest {
+        map: map(),
+        revision: 1,
+        datum: Datum::site("lab").unwrap(),
+        chunks: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
+        bounding_box: None,
+        public_key: Vec::new(),
+        signature: Vec::new(),
+        holder: vehicle("ugv1"),
+        held: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
+    }));
+    store
+}
+
+#[test]
+fn each_question_gets_what_it_asks_for() {
+    let store = store();
+    let check = |selector: &str, expected: &[&str]| {
+        let answers = store.answer(&Question::parse(selector).unwrap());
+        let keys: Vec<&str> = answers.iter().map(|answer| answer.key.as_str()).collect();
+        assert_eq!(keys, expected, "{selector}");
+    };
+    let chunk = |number: u32| format!("anchor/ugv1/map/1-0000000a/{number}");
+    let chunks = [chunk(0), chunk(1), chunk(2)];
+    let [first, second, third] = chunks.each_ref().map(String::as_str);
+    check("anchor/*/map", &["anchor/ugv1/map"]);
+    check("anchor/*/map/*/*", &[first, second, third]);
+    check("anchor/*/map/**", &["anchor/ugv1/map", first, second, third]);
+    check("anchor/*/map/*/*?since=1-0000000a:1", &[third]);
+    check("anchor/*/map/*/*?bbox=10,-5,12,5", &[second]);
+    check("anchor/*/map/*/*?bbox=nonsense", &[]);
+    check("anchor/drone1/map/**", &[]);
+    check(
+        "anchor/ugv1/placement/1-0000000a/**",
+        &["anchor/ugv1/placement/1-0000000a", "anchor/ugv1/placement/1-0000000a/0"],
+    );
+    check(
+        "vehicle/drone1/chunk/ugv1/1-0000000a/2",
+        &["vehicle/drone1/chunk/ugv1/1-0000000a/2"],
+    );
+    check("vehicle/other/chunk/**", &[]);
+}
+
+#[test]
+fn a_manifest_says_who_answers_and_what_that_one_holds() {
+    let answers = store().answer(&Question::parse("anchor/ugv1/map").unwrap());
+    let manifest: Manifest = decode(&answers[0].payload).unwrap();
+    assert_eq!(manifest.holder, vehicle("drone1"));
+    assert_eq!(manifest.held.count(), 3);
+    assert_eq!(manifest.chunks.count(), 10);
+}
