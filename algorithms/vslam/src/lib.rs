@@ -4,10 +4,19 @@
 
 mod block_cholesky;
 pub mod bundle;
+mod frame;
 mod map;
+mod mapping;
+mod optics;
+mod plane_grid;
+mod relocalise;
 mod report;
+mod search;
 mod settings;
 mod slam;
+mod start;
+mod tracking;
+mod trajectory;
 pub mod triangulation;
 pub mod two_view;
 

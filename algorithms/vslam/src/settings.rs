@@ -22,3 +22,17 @@ impl Default for VslamSettings {
         }
     }
 }
+
+/// Keypoints for an image of 640×480.
+const REFERENCE_FEATURE_COUNT: f64 = 1000.0;
+
+impl VslamSettings {
+    /// Keypoints per frame for this camera: with the image's width times height, slower than that.
+    pub(crate) fn feature_count_for(&self, camera: &camera::CameraModel) -> usize {
+        self.feature_count.unwrap_or_else(|| {
+            let area_ratio = (camera.width() * camera.height()) as f64 / (640.0 * 480.0);
+            let count = REFERENCE_FEATURE_COUNT * area_ratio.sqrt();
+            count.clamp(600.0, 2000.0) as usize
+        })
+    }
+}

@@ -18,6 +18,10 @@ impl<T> Arena<T> {
         }
     }
 
+    pub(crate) fn first_id(&self) -> u32 {
+        self.first_id
+    }
+
     /// The id that the next value will have.
     pub(crate) fn next_id(&self) -> u32 {
         self.first_id + u32::try_from(self.slots.len()).expect("ids are exhausted after 2^32 items")
@@ -53,10 +57,6 @@ impl<T> Arena<T> {
     /// All values, oldest first.
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = &T> {
         self.slots.iter().filter_map(|slot| slot.as_deref())
-    }
-
-    pub(crate) fn iter_mut(&mut self) -> impl DoubleEndedIterator<Item = &mut T> {
-        self.slots.iter_mut().filter_map(|slot| slot.as_deref_mut())
     }
 
     fn slot(&self, id: u32) -> Option<usize> {

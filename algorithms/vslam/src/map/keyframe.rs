@@ -2,8 +2,9 @@
 
 use features::Descriptor;
 use geometry::{Camera, Map, Timestamp, Transform};
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
+use crate::plane_grid::PlaneGrid;
 use crate::{KeyframeId, PointId};
 
 /// A keypoint of a frame, ready for geometry.
@@ -31,6 +32,11 @@ pub struct Keyframe {
     pub(crate) captured_at: Timestamp,
     pub(crate) camera_from_map: Transform<Camera, Map>,
     pub(crate) observations: Vec<Observation>,
+    pub(crate) grid: PlaneGrid,
+    /// The keyframe that was most covisible when this one was made; takes over if it is culled.
+    pub(crate) parent: Option<KeyframeId>,
+    /// The most covisible keyframes, as of the last change near it; some may have been culled.
+    pub(crate) neighbours: Vec<KeyframeId>,
 }
 
 impl Keyframe {
@@ -55,8 +61,18 @@ impl Keyframe {
         &self.camera_from_map
     }
 
+    /// The optical centre.
+    pub fn centre_in_map(&self) -> Vector3<f64> {
+        -(self.camera_from_map.rotation().inverse() * self.camera_from_map.translation())
+    }
+
     /// Every keypoint of the frame, with or without a map point.
     pub fn observations(&self) -> &[Observation] {
         &self.observations
+    }
+
+    /// The map points that it sees, each once.
+    pub(crate) fn points(&self) -> impl Iterator<Item = PointId> {
+        self.observations.iter().filter_map(|one| one.point)
     }
 }

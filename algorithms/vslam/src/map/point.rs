@@ -3,6 +3,7 @@
 use features::Descriptor;
 use nalgebra::{Matrix3, Vector3};
 
+use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR};
 use crate::{KeyframeId, PointId};
 
 /// A place in the map that several keyframes see.
@@ -13,9 +14,19 @@ pub struct MapPoint {
     pub(crate) covariance_in_map: Matrix3<f64>,
     pub(crate) descriptor: Descriptor,
     pub(crate) first_keyframe: KeyframeId,
+    /// The newest keyframe when it was made.
+    pub(crate) made_at: KeyframeId,
     pub(crate) parallax_rad: f64,
     /// Keyframes that see it and the index of the observation in each, by keyframe.
     pub(crate) views: Vec<View>,
+    /// Mean direction from the cameras that see it.
+    pub(crate) viewing_direction: Vector3<f64>,
+    /// The distance at which it would be found on the finest level.
+    pub(crate) finest_distance: f64,
+    /// Frames in which it should have been seen.
+    pub(crate) visible_count: u32,
+    /// Frames in which it was.
+    pub(crate) found_count: u32,
 }
 
 /// Where a keyframe shows a map point.
@@ -48,6 +59,27 @@ impl MapPoint {
     /// The oldest keyframe that saw it when it was made; that keyframe may have been culled since.
     pub fn first_keyframe(&self) -> KeyframeId {
         self.first_keyframe
+    }
+
+    /// The observation of a keyframe that shows it.
+    pub(crate) fn observation_idx(&self, keyframe: KeyframeId) -> Option<usize> {
+        let position = self
+            .views
+            .binary_search_by_key(&keyframe, |view| view.keyframe);
+        Some(self.views[position.ok()?].observation_idx as usize)
+    }
+
+    /// The pyramid level on which it should be found from this distance.
+    pub(crate) fn predicted_level(&self, distance: f64) -> u8 {
+        let level = (self.finest_distance / distance).ln() / LEVEL_FACTOR.ln();
+        // A cast from float saturates: negative and NaN become 0.
+        (level.round() as u8).min(LEVEL_COUNT as u8 - 1)
+    }
+
+    /// Whether the pyramid can show it at this distance as its views did.
+    pub(crate) fn in_distance_range(&self, distance: f64) -> bool {
+        let coarsest = LEVEL_FACTOR.powi(LEVEL_COUNT as i32 - 1);
+        distance < 1.2 * self.finest_distance && distance > 0.8 * self.finest_distance / coarsest
     }
 
     pub fn view_count(&self) -> usize {

@@ -1,0 +1,185 @@
+//! Bundle adjustment of a part of the map.
+
+use nalgebra::Vector3;
+
+use crate::bundle::{
+    BundleObservation, BundlePose, BundleProblem, BundleReport, BundleSettings, Workspace, adjust,
+};
+use crate::triangulation::{Sighting, parallax_rad};
+use crate::{KeyframeId, PointId, VslamMap};
+
+/// Keyframes that a local adjustment moves, at most.
+const WINDOW_MAX: usize = 12;
+/// Keyframes that hold its border, at most; those that see most come first.
+const BORDER_MAX: usize = 16;
+/// A keyframe joins the window if it shares this many points.
+const SHARED_MIN: u32 = 15;
+
+/// Which keyframes and points of the map the rows of a problem are.
+struct Selection {
+    keyframes: Vec<KeyframeId>,
+    points: Vec<PointId>,
+    fixed: Vec<bool>,
+}
+
+/// Adjusts a keyframe and those that share most with it; returns the keyframes that could move.
+pub(crate) fn adjust_local(
+    map: &mut VslamMap,
+    id: KeyframeId,
+    workspace: &mut Workspace,
+) -> Vec<KeyframeId> {
+    let mut window = vec![id];
+    window.extend(
+        map.covisible(id)
+            .iter()
+            .take(WINDOW_MAX - 1)
+            .filter(|one| one.shared_count >= SHARED_MIN)
+            .map(|one| one.keyframe),
+    );
+    let selection = select(map, &window);
+    let settings = BundleSettings {
+        iteration_count_max: 6,
+        ..BundleSettings::default()
+    };
+    run(map, &selection, &settings, workspace);
+    window
+}
+
+/// Adjusts everything; meant for maps of a few keyframes.
+pub(crate) fn adjust_all(
+    map: &mut VslamMap,
+    settings: &BundleSettings,
+    workspace: &mut Workspace,
+) -> BundleReport {
+    let window: Vec<KeyframeId> = map.keyframes().map(crate::Keyframe::id).collect();
+    let selection = select(map, &window);
+    run(map, &selection, settings, workspace)
+}
+
+/// The window with its points and border, in the order of time. At least two keyframes are fixed
+/// where there are three, because two determine position and scale.
+fn select(map: &VslamMap, window: &[KeyframeId]) -> Selection {
+    let points = map.points_of(window);
+    let seeing = map.seen_by(points.iter().copied());
+    let border = seeing
+        .iter()
+        .map(|one| one.keyframe)
+        .filter(|id| !window.contains(id))
+        .take(BORDER_MAX);
+    let mut fixed_ids: Vec<KeyframeId> = border.collect();
+    let mut keyframes: Vec<KeyframeId> = window.iter().chain(&fixed_ids).copied().collect();
+    keyframes.sort_unstable();
+    let origin = map.keyframes().next().map(crate::Keyframe::id);
+    fixed_ids.extend(origin.filter(|origin| window.contains(origin)));
+    if keyframes.len() > 2 {
+        let more: Vec<_> = keyframes
+            .iter()
+            .filter(|id| !fixed_ids.contains(id))
+            .take(2_usize.saturating_sub(fixed_ids.len()))
+            .copied()
+            .collect();
+        fixed_ids.extend(more);
+    }
+    let fixed = keyframes.iter().map(|id| fixed_ids.contains(id)).collect();
+    Selection {
+        keyframes,
+        points,
+        fixed,
+    }
+}
+
+fn run(
+    map: &mut VslamMap,
+    selection: &Selection,
+    settings: &BundleSettings,
+    workspace: &mut Workspace,
+) -> BundleReport {
+    let (mut problem, views) = problem(map, selection);
+    let report = adjust(&mut problem, settings, workspace);
+    for (id, pose) in selection.keyframes.iter().zip(&problem.poses) {
+        if let Some(keyframe) = map.keyframe_mut(*id) {
+            keyframe.camera_from_map = pose.camera_from_map;
+        }
+    }
+    for (id, position) in selection.points.iter().zip(&problem.points) {
+        if let Some(point) = map.point_mut(*id) {
+            point.position_in_map = *position;
+        }
+    }
+    for ((point, keyframe), inlier) in views.into_iter().zip(&report.inliers) {
+        if !inlier {
+            map.unlink(point, keyframe);
+        }
+    }
+    for (id, covariance) in selection.points.iter().zip(&report.point_covariances) {
+        if let (Some(point), Some(covariance)) = (map.point_mut(*id), covariance) {
+            point.covariance_in_map = *covariance;
+        }
+        update_parallax(map, *id);
+        map.refresh_point(*id);
+    }
+    report
+}
+
+type ViewName = (PointId, KeyframeId);
+
+fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewName>) {
+    let mut problem = BundleProblem::default();
+    let mut views = Vec::new();
+    for (id, &fixed) in selection.keyframes.iter().zip(&selection.fixed) {
+        let keyframe = map
+            .keyframe(*id)
+            .expect("the selection holds the map's keyframes");
+        problem.poses.push(BundlePose {
+            camera_from_map: keyframe.camera_from_map,
+            fixed,
+        });
+    }
+    for (point_idx, id) in selection.points.iter().enumerate() {
+        let point = map
+            .point(*id)
+            .expect("the selection holds the map's points");
+        problem.points.push(point.position_in_map);
+        for view in &point.views {
+            let Ok(pose_idx) = selection.keyframes.binary_search(&view.keyframe) else {
+                continue;
+            };
+            let keyframe = map
+                .keyframe(view.keyframe)
+                .expect("views name the map's keyframes");
+            let observation = &keyframe.observations[view.observation_idx as usize];
+            problem.observations.push(BundleObservation {
+                pose_idx,
+                point_idx,
+                position: observation.position,
+                sigma: observation.sigma,
+            });
+            views.push((*id, view.keyframe));
+        }
+    }
+    (problem, views)
+}
+
+/// The widest angle only grows while views are added, so a few views tell it well enough.
+fn update_parallax(map: &mut VslamMap, id: PointId) {
+    let Some(point) = map.point(id) else {
+        return;
+    };
+    let chosen = point.views.first().into_iter().chain(point.views.last());
+    let sightings: Vec<Sighting> = chosen
+        .filter_map(|view| {
+            let keyframe = map.keyframe(view.keyframe)?;
+            let observation = &keyframe.observations[view.observation_idx as usize];
+            Some(Sighting {
+                camera_from_map: keyframe.camera_from_map,
+                position: observation.position,
+                sigma: observation.sigma,
+            })
+        })
+        .collect();
+    let position: Vector3<f64> = point.position_in_map;
+    let parallax = parallax_rad(&sightings, &position).max(point.parallax_rad);
+    if let Some(point) = map.point_mut(id) {
+        point.parallax_rad = parallax;
+    }
+}

@@ -1,0 +1,109 @@
+//! The camera with all that depends only on it: bounds, noise, sizes in pixels.
+
+use camera::{CameraModel, Distortion};
+use nalgebra::{Vector2, Vector3};
+
+/// Pyramid levels of the extractor.
+pub(crate) const LEVEL_COUNT: usize = 8;
+/// Size ratio of neighbouring levels.
+pub(crate) const LEVEL_FACTOR: f64 = 1.2;
+/// The width for which windows in pixels are stated; they grow with the image.
+const REFERENCE_WIDTH_PX: f64 = 640.0;
+/// Rays further from the axis than this many focal lengths are not used (74°).
+const PLANE_RADIUS_MAX: f64 = 3.5;
+
+/// A camera, the part of the ideal plane that it sees, and the noise of its keypoints.
+#[derive(Clone, Debug)]
+pub(crate) struct Optics {
+    pub(crate) camera: CameraModel,
+    pub(crate) focal_px: f64,
+    /// One pixel of the reference width, on the ideal plane of this camera.
+    pub(crate) window: f64,
+    pub(crate) plane_min: Vector2<f64>,
+    pub(crate) plane_max: Vector2<f64>,
+    keypoint_sigma_px: f64,
+}
+
+impl Optics {
+    pub(crate) fn new(camera: CameraModel, keypoint_sigma_px: f64) -> Self {
+        let focal_px = camera.focal_length_px();
+        let (plane_min, plane_max) = plane_bounds(&camera);
+        let size_factor = camera.width().max(camera.height()) as f64 / REFERENCE_WIDTH_PX;
+        Self {
+            focal_px,
+            window: size_factor.max(0.5) / focal_px,
+            plane_min,
+            plane_max,
+            keypoint_sigma_px,
+            camera,
+        }
+    }
+
+    /// The ideal position and its standard deviation; `None` where the lens has no ray.
+    pub(crate) fn undistort(&self, pixel: &Vector2<f64>, level: u8) -> Option<(Vector2<f64>, f64)> {
+        let position = self.camera.undistort(pixel)?;
+        if position.norm_squared() > PLANE_RADIUS_MAX * PLANE_RADIUS_MAX {
+            return None;
+        }
+        let plane_sigma = self.keypoint_sigma_px * level_scale(level) / self.focal_px;
+        let distortion = self.camera.distortion();
+        if let Distortion::None = distortion {
+            return Some((position, plane_sigma));
+        }
+        let (_, d_distorted_d_ideal) = distortion.distort_with_derivative(&position);
+        let shrink = d_distorted_d_ideal.determinant().abs().sqrt();
+        Some((position, plane_sigma / shrink.max(0.05)))
+    }
+
+    /// Where the camera shows a point on the ideal plane; `None` if it does not.
+    pub(crate) fn project(&self, point_in_camera: &Vector3<f64>) -> Option<Vector2<f64>> {
+        if point_in_camera.z.is_nan() || point_in_camera.z <= 1e-6 {
+            return None;
+        }
+        let position = point_in_camera.xy() / point_in_camera.z;
+        if !self.in_bounds(&position) {
+            return None;
+        }
+        if let Distortion::None = self.camera.distortion() {
+            return Some(position);
+        }
+        let pixel = self.camera.project(point_in_camera)?;
+        self.camera.contains(&pixel, 0.0).then_some(position)
+    }
+
+    fn in_bounds(&self, position: &Vector2<f64>) -> bool {
+        position.x >= self.plane_min.x
+            && position.x <= self.plane_max.x
+            && position.y >= self.plane_min.y
+            && position.y <= self.plane_max.y
+    }
+}
+
+/// Full-resolution pixels per pixel of this level.
+pub(crate) fn level_scale(level: u8) -> f64 {
+    LEVEL_FACTOR.powi(i32::from(level))
+}
+
+/// The smallest upright rectangle of the ideal plane that holds the image's border.
+fn plane_bounds(camera: &CameraModel) -> (Vector2<f64>, Vector2<f64>) {
+    let (right, bottom) = (camera.width() as f64 - 1.0, camera.height() as f64 - 1.0);
+    let mut lowest = Vector2::repeat(-1e-3);
+    let mut highest = Vector2::repeat(1e-3);
+    let steps = 32;
+    for step in 0..=steps {
+        let share = f64::from(step) / f64::from(steps);
+        let border = [
+            Vector2::new(right * share, 0.0),
+            Vector2::new(right * share, bottom),
+            Vector2::new(0.0, bottom * share),
+            Vector2::new(right, bottom * share),
+        ];
+        for position in border.iter().filter_map(|pixel| camera.undistort(pixel)) {
+            let norm = position.norm();
+            let inside = position * (PLANE_RADIUS_MAX / norm.max(PLANE_RADIUS_MAX));
+            lowest = lowest.inf(&inside);
+            highest = highest.sup(&inside);
+        }
+    }
+    (lowest, highest)
+}

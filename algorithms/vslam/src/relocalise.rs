@@ -1,0 +1,130 @@
+//! Where a camera is in a map, without knowing where it was.
+
+use features::matching::{MatchSettings, match_mutual};
+use geometry::absolute_pose::{PointObservation, RansacSettings, ransac_absolute_pose};
+use geometry::{Camera, Map, Transform};
+use rand_chacha::ChaCha8Rng;
+
+use crate::frame::Frame;
+use crate::optics::Optics;
+use crate::tracking::{LocalMap, Tracked, match_local_map, refine, track_local_map};
+use crate::{KeyframeId, PointId, VslamMap};
+
+/// Neighbours of a keyframe whose points are searched along with its own.
+const NEIGHBOURS: usize = 3;
+/// A pose that fewer descriptors agree on may be a coincidence.
+const INLIERS_MIN: usize = 12;
+/// A place counts as recognised if this many keypoints agree in the end.
+const RECOGNISED_INLIERS_MIN: usize = 40;
+/// Keyframes tried per frame.
+const CANDIDATES_MAX: usize = 6;
+
+/// The pose of a frame that looks at much the same as a keyframe, by descriptors alone. Names the
+/// points that agree in `frame`.
+pub(crate) fn locate_near(
+    map: &VslamMap,
+    keyframe: KeyframeId,
+    frame: &mut Frame,
+    rng: &mut ChaCha8Rng,
+) -> Option<Transform<Camera, Map>> {
+    let (holder, _) = map.resolve(keyframe)?;
+    let mut places = vec![holder];
+    places.extend(map.keyframe(holder)?.neighbours.iter().take(NEIGHBOURS));
+    let points = map.points_of(&places);
+    frame.forget_points();
+    let matches = match_points(map, &points, frame);
+    let observations: Vec<PointObservation> = matches
+        .iter()
+        .filter_map(|&(idx, point)| {
+            Some(PointObservation {
+                point_in_world: map.point(point)?.position_in_map,
+                position: frame.observations[idx].position,
+                sigma: frame.observations[idx].sigma,
+            })
+        })
+        .collect();
+    let settings = RansacSettings {
+        inlier_count_min: INLIERS_MIN,
+        iteration_count_max: 200,
+        ..RansacSettings::default()
+    };
+    let pose = ransac_absolute_pose(&observations, &settings, rng).ok()?;
+    for (&(idx, point), inlier) in matches.iter().zip(&pose.inliers) {
+        if *inlier {
+            frame.observations[idx].point = Some(point);
+        }
+    }
+    Some(pose.camera_from_world)
+}
+
+/// Observations of the frame and the points that their descriptors fit best.
+fn match_points(map: &VslamMap, points: &[PointId], frame: &Frame) -> Vec<(usize, PointId)> {
+    let wanted: Vec<_> = points
+        .iter()
+        .filter_map(|&point| Some(*map.point(point)?.descriptor()))
+        .collect();
+    let seen: Vec<_> = frame
+        .observations
+        .iter()
+        .map(|one| one.descriptor)
+        .collect();
+    let settings = MatchSettings {
+        distance_max: 64,
+        ratio_max: 0.85,
+    };
+    match_mutual(&seen, &wanted, &settings)
+        .into_iter()
+        .map(|found| (found.query_idx as usize, points[found.train_idx as usize]))
+        .collect()
+}
+
+/// Remembers where it looked, so that all places get their turn.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Relocaliser {
+    next: u32,
+}
+
+impl Relocaliser {
+    /// Looks for the frame in the whole map.
+    pub(crate) fn locate(
+        &mut self,
+        optics: &Optics,
+        map: &mut VslamMap,
+        frame: &mut Frame,
+        rng: &mut ChaCha8Rng,
+    ) -> Option<Tracked> {
+        for candidate in self.candidates(map) {
+            let Some(pose) = locate_near(map, candidate, frame, rng) else {
+                continue;
+            };
+            if let Some(tracked) = confirm(optics, map, frame, &pose) {
+                return Some(tracked);
+            }
+        }
+        None
+    }
+
+    fn candidates(&mut self, map: &VslamMap) -> Vec<KeyframeId> {
+        let all: Vec<KeyframeId> = map.keyframes().map(crate::Keyframe::id).collect();
+        let mut candidates: Vec<KeyframeId> = all.iter().rev().take(2).copied().collect();
+        for _ in candidates.len()..CANDIDATES_MAX.min(all.len()) {
+            self.next = (self.next + 1) % all.len().max(1) as u32;
+            candidates.push(all[self.next as usize]);
+        }
+        candidates
+    }
+}
+
+/// Grows a pose from a few descriptors to all that should be in view.
+fn confirm(
+    optics: &Optics,
+    map: &mut VslamMap,
+    frame: &mut Frame,
+    pose: &Transform<Camera, Map>,
+) -> Option<Tracked> {
+    let local = LocalMap::around(map, frame)?;
+    match_local_map(optics, map, &local, pose, frame);
+    let fit = refine(map, pose, frame, INLIERS_MIN)?;
+    let tracked = track_local_map(optics, map, frame, &fit.camera_from_map).ok()?;
+    (tracked.inlier_count >= RECOGNISED_INLIERS_MIN).then_some(tracked)
+}

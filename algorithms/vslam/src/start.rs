@@ -1,0 +1,229 @@
+//! The first two keyframes of a map.
+
+use geometry::{Camera, Transform};
+use nalgebra::{Matrix3, Vector2};
+use rand_chacha::ChaCha8Rng;
+
+use crate::bundle::{BundleSettings, Workspace};
+use crate::frame::Frame;
+use crate::map::NewPoint;
+use crate::mapping::adjust_all;
+use crate::optics::Optics;
+use crate::search::{Gate, Wanted, consistent_turns, find};
+use crate::two_view::{Correspondence, TwoView, TwoViewRefusal, TwoViewSettings, reconstruct};
+use crate::{StartReason, View, VslamMap};
+
+/// A frame with fewer keypoints is no start.
+const KEYPOINTS_MIN: usize = 80;
+/// Fewer matches make the current frame the new reference.
+const MATCHES_MIN: usize = 60;
+/// A reference is replaced after this time: what it showed may have changed.
+const REFERENCE_AGE_MAX_S: f64 = 4.0;
+/// A map starts with at least this many points.
+const POINTS_MIN: usize = 50;
+/// Median angle between the two rays of a point: 1.2°.
+const PARALLAX_RAD_MIN: f64 = 0.05;
+/// Window around where a keypoint was seen last, pixels at a width of 640.
+const WINDOW_PX: f64 = 80.0;
+const GATE: Gate = Gate {
+    distance_max: 64,
+    ratio_max: 0.9,
+};
+
+/// Waits for a second view that differs enough from the first.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Starter {
+    reference: Option<Reference>,
+}
+
+#[derive(Clone, Debug)]
+struct Reference {
+    frame: Frame,
+    /// Where each keypoint was matched last.
+    last_seen: Vec<Vector2<f64>>,
+}
+
+/// Indices of one keypoint in the reference and in the current frame.
+type Pair = (usize, usize);
+
+impl Starter {
+    /// Takes the next frame: a map with two keyframes, the second of which is this frame, or why
+    /// there is none.
+    pub(crate) fn advance(
+        &mut self,
+        optics: &Optics,
+        frame: Frame,
+        (empty, workspace): (&VslamMap, &mut Workspace),
+        rng: &mut ChaCha8Rng,
+    ) -> Result<VslamMap, StartReason> {
+        if frame.observations.len() < KEYPOINTS_MIN {
+            return Err(StartReason::FewKeypoints);
+        }
+        let Some(reference) = &mut self.reference else {
+            self.reference = Some(Reference::new(frame));
+            return Err(StartReason::FirstFrame);
+        };
+        let pairs = reference.match_frame(optics, &frame);
+        let age_s = frame.captured_at - reference.frame.captured_at;
+        if pairs.len() < MATCHES_MIN || age_s > REFERENCE_AGE_MAX_S {
+            self.reference = Some(Reference::new(frame));
+            return Err(StartReason::FewMatches);
+        }
+        let view = two_view(reference, &frame, &pairs, rng)?;
+        let map = build(empty, (&reference.frame, &frame), (&pairs, &view));
+        let map = polish(map, workspace)?;
+        self.reference = None;
+        Ok(map)
+    }
+}
+
+impl Reference {
+    fn new(frame: Frame) -> Self {
+        let last_seen = frame.observations.iter().map(|one| one.position).collect();
+        Self { frame, last_seen }
+    }
+
+    fn match_frame(&mut self, optics: &Optics, frame: &Frame) -> Vec<Pair> {
+        let mut best_of: Vec<Option<(usize, u32)>> = vec![None; frame.observations.len()];
+        for (idx, observation) in self.frame.observations.iter().enumerate() {
+            let level = observation.level;
+            let wanted = Wanted {
+                position: self.last_seen[idx],
+                radius: WINDOW_PX * optics.window,
+                levels: level.saturating_sub(1)..=level + 1,
+                descriptor: &observation.descriptor,
+            };
+            let target = (&frame.grid, frame.observations.as_slice());
+            if let Some(found) = find(&wanted, target, GATE, |_| true) {
+                let best = &mut best_of[found.observation_idx];
+                if best.is_none_or(|(_, distance)| found.distance < distance) {
+                    *best = Some((idx, found.distance));
+                }
+            }
+        }
+        let pairs: Vec<Pair> = best_of
+            .into_iter()
+            .enumerate()
+            .filter_map(|(current, best)| Some((best?.0, current)))
+            .collect();
+        let turn = |&(first, second): &Pair| {
+            frame.observations[second].angle_rad - self.frame.observations[first].angle_rad
+        };
+        let turns_rad: Vec<f32> = pairs.iter().map(turn).collect();
+        let consistent = consistent_turns(&turns_rad);
+        let mut kept = Vec::with_capacity(pairs.len());
+        for (pair, consistent) in pairs.into_iter().zip(consistent) {
+            if consistent {
+                self.last_seen[pair.0] = frame.observations[pair.1].position;
+                kept.push(pair);
+            }
+        }
+        kept
+    }
+}
+
+fn two_view(
+    reference: &Reference,
+    frame: &Frame,
+    pairs: &[Pair],
+    rng: &mut ChaCha8Rng,
+) -> Result<TwoView, StartReason> {
+    let correspondences: Vec<Correspondence> = pairs
+        .iter()
+        .map(|&(first, second)| Correspondence {
+            first: reference.frame.observations[first].position,
+            second: frame.observations[second].position,
+        })
+        .collect();
+    let mut sigmas: Vec<f64> = pairs
+        .iter()
+        .map(|&(_, second)| frame.observations[second].sigma)
+        .collect();
+    sigmas.sort_by(f64::total_cmp);
+    let settings = TwoViewSettings {
+        sigma: sigmas[sigmas.len() / 2],
+        point_count_min: POINTS_MIN,
+        match_count_min: MATCHES_MIN,
+        parallax_rad_min: PARALLAX_RAD_MIN,
+        ..TwoViewSettings::default()
+    };
+    reconstruct(&correspondences, &settings, rng).map_err(|refusal| match refusal {
+        TwoViewRefusal::TooFewMatches { .. } => StartReason::FewMatches,
+        TwoViewRefusal::PureRotation | TwoViewRefusal::LowParallax { .. } => {
+            StartReason::LowParallax
+        }
+        TwoViewRefusal::Ambiguous { .. } => StartReason::Ambiguous,
+        TwoViewRefusal::TooFewInliers { .. } | TwoViewRefusal::TooFewPoints { .. } => {
+            StartReason::Unstable
+        }
+    })
+}
+
+/// The map of two views, in units of the median depth of its points before the first.
+fn build(
+    empty: &VslamMap,
+    (first, second): (&Frame, &Frame),
+    (pairs, view): (&[Pair], &TwoView),
+) -> VslamMap {
+    let mut depths: Vec<f64> = view
+        .points_in_first
+        .iter()
+        .flatten()
+        .map(|one| one.z)
+        .collect();
+    depths.sort_by(f64::total_cmp);
+    let unit = 1.0 / depths[depths.len() / 2];
+    let motion = &view.second_from_first;
+    let second_from_first: Transform<Camera, Camera> =
+        Transform::new(*motion.rotation(), motion.translation() * unit);
+    let mut map = empty.clone();
+    let first_id = map.add_keyframe(first.clone(), Transform::identity());
+    let second_id = map.add_keyframe(second.clone(), second_from_first.relabel());
+    if let Some(keyframe) = map.keyframe_mut(second_id) {
+        keyframe.parent = Some(first_id);
+    }
+    for (&(first_idx, second_idx), point) in pairs.iter().zip(&view.points_in_first) {
+        let Some(point) = point else {
+            continue;
+        };
+        let new = NewPoint {
+            position_in_map: point * unit,
+            covariance_in_map: Matrix3::identity(),
+            parallax_rad: 0.0,
+        };
+        let view = |keyframe, idx: usize| View {
+            keyframe,
+            observation_idx: idx as u32,
+        };
+        map.add_point(
+            new,
+            vec![view(first_id, first_idx), view(second_id, second_idx)],
+        );
+    }
+    map
+}
+
+/// Adjusts the new map, and refuses it if too little of it survives.
+fn polish(mut map: VslamMap, workspace: &mut Workspace) -> Result<VslamMap, StartReason> {
+    let settings = BundleSettings {
+        iteration_count_max: 20,
+        refit_iteration_count_max: 5,
+        ..BundleSettings::default()
+    };
+    adjust_all(&mut map, &settings, workspace);
+    let behind: Vec<_> = map
+        .points()
+        .filter(|point| {
+            map.keyframes()
+                .any(|keyframe| (*keyframe.camera_from_map() * point.position_in_map).z <= 0.0)
+        })
+        .map(|point| point.id)
+        .collect();
+    for point in behind {
+        map.remove_point(point);
+    }
+    if map.point_count() < POINTS_MIN {
+        return Err(StartReason::Unstable);
+    }
+    Ok(map)
+}

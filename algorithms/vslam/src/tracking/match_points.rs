@@ -1,0 +1,54 @@
+//! Finds the points of the last frame in this one.
+
+use geometry::{Camera, Map, Transform};
+
+use super::TrackedPoint;
+use crate::VslamMap;
+use crate::frame::{Frame, Viewpoint};
+use crate::optics::{LEVEL_COUNT, Optics, level_scale};
+use crate::search::{Gate, Wanted, consistent_turns, find};
+
+const GATE: Gate = Gate {
+    distance_max: 100,
+    ratio_max: 1.0,
+};
+
+/// Names, in `frame`, the points that lie where the predicted pose puts them, within a window that
+/// grows with the level of the pyramid.
+pub(crate) fn match_last_frame(
+    optics: &Optics,
+    map: &VslamMap,
+    points: &[TrackedPoint],
+    (predicted, window_px): (&Transform<Camera, Map>, f64),
+    frame: &mut Frame,
+) {
+    let viewpoint = Viewpoint::new(*predicted);
+    let mut matched = Vec::with_capacity(points.len());
+    let mut turns_rad = Vec::with_capacity(points.len());
+    for tracked in points {
+        let Some(point) = map.point(tracked.id) else {
+            continue;
+        };
+        let Some(position) = optics.project(&viewpoint.transform(&point.position_in_map)) else {
+            continue;
+        };
+        let wanted = Wanted {
+            position,
+            radius: window_px * optics.window * level_scale(tracked.level),
+            levels: tracked.level.saturating_sub(1)..=(tracked.level + 1).min(LEVEL_COUNT as u8),
+            descriptor: &point.descriptor,
+        };
+        let free = |observation: &crate::Observation| observation.point.is_none();
+        if let Some(found) = find(&wanted, (&frame.grid, &frame.observations), GATE, free) {
+            let observation = &mut frame.observations[found.observation_idx];
+            observation.point = Some(tracked.id);
+            turns_rad.push(observation.angle_rad - tracked.angle_rad);
+            matched.push(found.observation_idx);
+        }
+    }
+    for (idx, consistent) in matched.into_iter().zip(consistent_turns(&turns_rad)) {
+        if !consistent {
+            frame.observations[idx].point = None;
+        }
+    }
+}

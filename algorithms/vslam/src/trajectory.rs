@@ -1,0 +1,34 @@
+//! What is remembered of each frame.
+
+use geometry::{Camera, Timestamp, Transform};
+
+use crate::{KeyframeId, MapId, TrajectoryEntry, VslamMap};
+
+/// A frame's place relative to a keyframe, so that it follows corrections of the map.
+#[derive(Clone, Debug)]
+pub(crate) struct FrameRecord {
+    pub(crate) captured_at: Timestamp,
+    pub(crate) map_id: MapId,
+    pub(crate) place: Option<(KeyframeId, Transform<Camera, Camera>)>,
+}
+
+impl FrameRecord {
+    /// The entry with the pose of now, if one of the maps still has the frame.
+    pub(crate) fn entry<'a>(
+        &self,
+        frame_idx: u64,
+        mut maps: impl Iterator<Item = &'a VslamMap>,
+    ) -> TrajectoryEntry {
+        let map = maps.find(|map| map.id() == self.map_id);
+        let camera_from_map = self
+            .place
+            .zip(map)
+            .and_then(|((keyframe, relative), map)| map.camera_from_map(keyframe, &relative));
+        TrajectoryEntry {
+            frame_idx,
+            captured_at: self.captured_at,
+            map_id: self.map_id,
+            map_from_camera: camera_from_map.map(|pose| pose.inverse()),
+        }
+    }
+}
