@@ -1,8 +1,21 @@
-//! `starling register`.
+//! `starling register`: one registration of two clouds.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
-use super::Exit;
+use anyhow::Context;
+use clap::ValueEnum;
+use geometry::{Matrix7, Similarity};
+use nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
+use registration::{
+    Alignment, Cloud, Metric, Outcome, Quality, RegisterSettings, ShapedCloud, Source, Start,
+    Target,
+};
+use serde::Serialize;
+
+use super::{Exit, output};
+use crate::files;
+use crate::plot::{Color, Layer, Mark, Plot};
 
 #[derive(clap::Args)]
 pub struct RegisterArguments {
@@ -10,8 +23,8 @@ pub struct RegisterArguments {
     pub source: PathBuf,
     /// The cloud that it is moved onto.
     pub target: PathBuf,
-    #[arg(long, default_value = "gicp", value_parser = ["point", "plane", "gicp"])]
-    pub metric: String,
+    #[arg(long, value_enum, default_value = "gicp")]
+    pub metric: MetricArgument,
     /// Estimate the scale too.
     #[arg(long)]
     pub with_scale: bool,
@@ -19,12 +32,15 @@ pub struct RegisterArguments {
     #[arg(long, default_value = "identity", value_name = "identity|FILE|search")]
     pub init: String,
     /// Thin both clouds to one point per cube of this edge.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = parse_positive)]
     pub voxel: Option<f64>,
-    #[arg(long, value_name = "M")]
+    /// Points farther apart are not paired.
+    #[arg(long, value_name = "M", value_parser = parse_positive)]
     pub max_distance: Option<f64>,
-    #[arg(long, default_value_t = 1)]
-    pub threads: usize,
+    /// The result does not depend on it; more than one prepares both clouds at once.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: u16,
+    /// A picture of both clouds before and after, PNG or SVG.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
     /// Print one JSON object.
@@ -32,6 +48,252 @@ pub struct RegisterArguments {
     pub json: bool,
 }
 
-pub fn run(_arguments: &RegisterArguments) -> anyhow::Result<Exit> {
-    super::later::not_built("register")
+/// What pairs of points are measured by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum MetricArgument {
+    /// The distance of the points.
+    Point,
+    /// The distance to the plane through the target point.
+    Plane,
+    /// The distance weighted by the local shape of both.
+    Gicp,
 }
+
+/// The names are those of the command line's contract; unknown numbers are `null`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct RegisterSummary {
+    accepted: bool,
+    reason: String,
+    /// Row by row, `s R` in the upper left.
+    target_from_source: Option<[[f64; 4]; 4]>,
+    scale: Option<f64>,
+    rmse_m: Option<f64>,
+    overlap: Option<f64>,
+    iterations: Option<usize>,
+    ms_preprocess: f64,
+    ms_align: f64,
+    /// Over `[ω; ν; ln s]`, row by row.
+    covariance: Option<[[f64; 7]; 7]>,
+}
+
+pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
+    let settings = RegisterSettings {
+        metric: match arguments.metric {
+            MetricArgument::Point => Metric::Point,
+            MetricArgument::Plane => Metric::Plane,
+            MetricArgument::Gicp => Metric::Gicp,
+        },
+        with_scale: arguments.with_scale,
+        start: read_start(&arguments.init)?,
+        voxel_m: arguments.voxel,
+        max_distance_m: arguments.max_distance,
+        ..RegisterSettings::default()
+    };
+    let source = files::read_cloud(&arguments.source)?.into_cloud();
+    let target = files::read_cloud(&arguments.target)?.into_cloud();
+
+    let started = Instant::now();
+    let (prepared_source, prepared_target) =
+        prepare_both(&source, &target, arguments.voxel, arguments.threads);
+    let ms_preprocess = started.elapsed().as_secs_f64() * 1e3;
+    let started = Instant::now();
+    let outcome = registration::register::align(&prepared_source, &prepared_target, &settings);
+    let ms_align = started.elapsed().as_secs_f64() * 1e3;
+
+    if let Some(path) = &arguments.plot {
+        plot_of(&source, &target, &settings.start, &outcome).write(path)?;
+    }
+    let summary = summarise(&outcome, ms_preprocess, ms_align);
+    if arguments.json {
+        output::print_json(&summary)?;
+    } else {
+        print_summary(&summary);
+    }
+    Ok(match outcome {
+        Outcome::Accepted(_) => Exit::Done,
+        Outcome::Refused { .. } => Exit::Refused,
+    })
+}
+
+/// Thins and shapes both clouds, at once if there are threads for it.
+fn prepare_both(
+    source: &Cloud,
+    target: &Cloud,
+    voxel_m: Option<f64>,
+    thread_count: u16,
+) -> (ShapedCloud, ShapedCloud) {
+    if thread_count == 1 {
+        return (
+            ShapedCloud::new(source, voxel_m),
+            ShapedCloud::new(target, voxel_m),
+        );
+    }
+    std::thread::scope(|scope| {
+        let ahead = scope.spawn(|| ShapedCloud::new(source, voxel_m));
+        let target = ShapedCloud::new(target, voxel_m);
+        let source = ahead
+            .join()
+            .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        (source, target)
+    })
+}
+
+fn parse_positive(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|value: &f64| value.is_finite() && *value > 0.0)
+        .ok_or_else(|| "expected a positive number of metres".to_owned())
+}
+
+fn read_start(init: &str) -> anyhow::Result<Start> {
+    Ok(match init {
+        "identity" => Start::Identity,
+        "search" => Start::Search,
+        path => Start::Given(read_similarity(Path::new(path))?),
+    })
+}
+
+/// Reads 16 numbers, row by row, as a similarity.
+fn read_similarity(path: &Path) -> anyhow::Result<Similarity<Target, Source>> {
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("cannot read the start: {}", path.display()))?;
+    let numbers: Vec<f64> = text
+        .split(|letter: char| letter.is_whitespace() || ",;[]".contains(letter))
+        .filter(|word| !word.is_empty())
+        .map(|word| {
+            word.parse()
+                .with_context(|| format!("{word:?} is no number: {}", path.display()))
+        })
+        .collect::<anyhow::Result<_>>()?;
+    anyhow::ensure!(
+        numbers.len() == 16,
+        "{} numbers, expected 16 of a 4×4 matrix: {}",
+        numbers.len(),
+        path.display()
+    );
+    similarity_from(&Matrix4::from_row_slice(&numbers))
+        .with_context(|| format!("not a similarity `[s R, t; 0 1]`: {}", path.display()))
+}
+
+/// Matrices in files are rounded; more than this is another kind of transform.
+const SIMILARITY_ERROR_MAX: f64 = 1e-2;
+
+fn similarity_from(matrix: &Matrix4<f64>) -> Option<Similarity<Target, Source>> {
+    let linear: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 0).into_owned();
+    let translation: Vector3<f64> = matrix.fixed_view::<3, 1>(0, 3).into_owned();
+    let scale = linear.determinant().cbrt();
+    let is_usable = scale > 0.0 && matrix.iter().all(|value| value.is_finite());
+    if !is_usable || matrix.row(3) != nalgebra::RowVector4::new(0.0, 0.0, 0.0, 1.0) {
+        return None;
+    }
+    let rotation = linear / scale;
+    let error = (rotation * rotation.transpose() - Matrix3::identity()).norm();
+    (error < SIMILARITY_ERROR_MAX)
+        .then(|| Similarity::new(scale, UnitQuaternion::from_matrix(&rotation), translation))
+}
+
+fn summarise(outcome: &Outcome, ms_preprocess: f64, ms_align: f64) -> RegisterSummary {
+    let (reason, quality, alignment) = match outcome {
+        Outcome::Accepted(alignment) => (
+            accepted_reason(&alignment.quality),
+            Some(&alignment.quality),
+            Some(alignment),
+        ),
+        Outcome::Refused { reason, quality } => (reason.to_string(), quality.as_ref(), None),
+    };
+    let known = |value: f64| Some(value).filter(|value| value.is_finite());
+    RegisterSummary {
+        accepted: alignment.is_some(),
+        reason,
+        target_from_source: alignment.map(|alignment| matrix_rows(&alignment.target_from_source)),
+        scale: alignment.map(|alignment| alignment.target_from_source.scale()),
+        rmse_m: quality.and_then(|quality| known(quality.rmse_m)),
+        overlap: quality.and_then(|quality| known(quality.overlap_source)),
+        iterations: quality.map(|quality| quality.iteration_count),
+        ms_preprocess,
+        ms_align,
+        covariance: alignment.and_then(|alignment| covariance_rows(alignment)),
+    }
+}
+
+fn accepted_reason(quality: &Quality) -> String {
+    if quality.weak_directions.is_empty() {
+        "the clouds agree".to_owned()
+    } else {
+        let directions = quality.weak_directions.join(", ");
+        format!("the clouds agree; hardly fixed: {directions}")
+    }
+}
+
+fn matrix_rows(similarity: &Similarity<Target, Source>) -> [[f64; 4]; 4] {
+    let matrix = similarity.to_matrix();
+    std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
+}
+
+fn covariance_rows(alignment: &Alignment) -> Option<[[f64; 7]; 7]> {
+    let covariance: &Matrix7 = &alignment.covariance;
+    let is_known = covariance.iter().all(|value| value.is_finite());
+    is_known
+        .then(|| std::array::from_fn(|row| std::array::from_fn(|column| covariance[(row, column)])))
+}
+
+fn print_summary(summary: &RegisterSummary) {
+    let verdict = if summary.accepted {
+        "accepted"
+    } else {
+        "refused"
+    };
+    output::print_line(&format!("{verdict}: {}", summary.reason));
+    for row in summary.target_from_source.iter().flatten() {
+        let numbers: Vec<String> = row.iter().map(|value| format!("{value:12.6}")).collect();
+        output::print_line(&numbers.join(" "));
+    }
+    let metres = |value: Option<f64>| value.map_or("unknown".to_owned(), |m| format!("{m:.4} m"));
+    let share = |value: Option<f64>| value.map_or("unknown".to_owned(), |o| format!("{o:.2}"));
+    output::print_line(&format!(
+        "rmse {}, overlap {}, {:.0} ms to prepare, {:.0} ms to align",
+        metres(summary.rmse_m),
+        share(summary.overlap),
+        summary.ms_preprocess,
+        summary.ms_align
+    ));
+}
+
+/// The target, the source where it started, and where it ended if that was accepted.
+fn plot_of(source: &Cloud, target: &Cloud, start: &Start, outcome: &Outcome) -> Plot {
+    let moved = |by: &Similarity<Target, Source>| -> Vec<Vector3<f64>> {
+        source.points().iter().map(|point| *by * *point).collect()
+    };
+    let before = match start {
+        Start::Given(guess) => moved(guess),
+        Start::Identity | Start::Search => moved(&Similarity::identity()),
+    };
+    let dots = |name: &str, color, mark, points| Layer {
+        name: name.to_owned(),
+        color,
+        mark,
+        points,
+    };
+    let mut layers = vec![
+        dots(
+            "target",
+            Color::RED,
+            Mark::LargeDots,
+            target.points().to_vec(),
+        ),
+        dots("source before", Color::BLUE, Mark::Dots, before),
+    ];
+    let title = match outcome {
+        Outcome::Accepted(alignment) => {
+            let after = moved(&alignment.target_from_source);
+            layers.push(dots("source after", Color::GREEN, Mark::Dots, after));
+            let scale = alignment.target_from_source.scale();
+            format!("Registration accepted, scale {scale:.4}")
+        }
+        Outcome::Refused { reason, .. } => format!("Registration refused: {reason}"),
+    };
+    Plot { title, layers }
+}
+
+#[cfg(test)]
+mod tests;

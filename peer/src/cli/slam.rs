@@ -56,6 +56,9 @@ struct SlamSummary {
 
 pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     let dataset = Dataset::open(&chosen_frames(arguments)?)?;
+    for path in std::iter::once(&arguments.out).chain(&arguments.map) {
+        files::create_folder_of(path)?;
+    }
     let frame_count = dataset.frames().len();
     let vslam = Vslam::new(
         dataset.calibration().camera.clone(),

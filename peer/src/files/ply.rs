@@ -22,6 +22,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<PointCloud, Refused> {
     let header = Header::parse(bytes)?;
     let mut body = Body::new(&header, bytes)?;
     for element in &header.elements {
+        if element.properties.is_empty() {
+            let reason = format!("element {:?} has no properties", element.name);
+            return Err(Refused::whole(reason));
+        }
         if element.name == "vertex" {
             return read_vertices(element, &mut body);
         }

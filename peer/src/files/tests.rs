@@ -1,4 +1,6 @@
 use geometry::{Enu, Timestamp};
+use nalgebra::{Matrix3, Vector3};
+use registration::Descriptors;
 
 use super::*;
 
@@ -58,4 +60,238 @@ fn trajectory_errors_name_file_and_line() {
     check("# c\n0.1 1 2 3 0 0 0 0\n", "norm is 0.0000");
     let missing = read_tum::<Enu>(&folder.path().join("none.tum")).unwrap_err();
     assert!(missing.to_string().starts_with("cannot read"), "{missing}");
+}
+
+#[test]
+fn covariances_survive_their_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("c.csv");
+    let covariance = Matrix3::new(1.0, 0.1, 1e-7, 0.1, 2.0, -0.3, 1e-7, -0.3, 3.0);
+    let line = (Timestamp::from_nanoseconds(1_100_000_001), covariance);
+    write_covariances(&path, [line, line]).unwrap();
+    assert_eq!(read_covariances(&path).unwrap(), vec![line, line]);
+    std::fs::write(&path, "1.0,1,2,3\n").unwrap();
+    let error = read_covariances(&path).unwrap_err().to_string();
+    assert!(error.starts_with("expected timestamp,xx"), "{error}");
+}
+
+/// Three points with colours and descriptors, all different.
+fn small_cloud() -> PointCloud {
+    PointCloud {
+        points: (0..3)
+            .map(|idx| Vector3::new(f64::from(idx), -0.5, 0.25 * f64::from(idx)))
+            .collect(),
+        colors: Some(vec![[1, 2, 3], [255, 0, 128], [9, 8, 7]]),
+        descriptors: Descriptors::Binary(vec![
+            features::Descriptor([1, 2, 3, u64::MAX]),
+            features::Descriptor([0; 4]),
+            features::Descriptor([5, 6, 7, 8]),
+        ]),
+    }
+}
+
+fn binary(cloud: &PointCloud) -> &[features::Descriptor] {
+    match &cloud.descriptors {
+        Descriptors::Binary(list) => list,
+        _ => panic!("no binary descriptors"),
+    }
+}
+
+#[test]
+fn ply_survives_every_encoding() {
+    let cloud = small_cloud();
+    for encoding in [
+        ply::Encoding::Ascii,
+        ply::Encoding::BinaryLittleEndian,
+        ply::Encoding::BinaryBigEndian,
+    ] {
+        let bytes = ply::format(&cloud, encoding);
+        let read = ply::parse(&bytes).unwrap();
+        assert_eq!(read.points, cloud.points, "{encoding:?}");
+        assert_eq!(read.colors, cloud.colors, "{encoding:?}");
+        assert_eq!(binary(&read), binary(&cloud), "{encoding:?}");
+        // The last number of a text may lose digits unseen; everything else must be missed.
+        let shortest_whole = match encoding {
+            ply::Encoding::Ascii => bytes.len() - 3,
+            _ => bytes.len(),
+        };
+        for length in 0..shortest_whole {
+            assert!(
+                ply::parse(&bytes[..length]).is_err(),
+                "{encoding:?} {length}"
+            );
+        }
+    }
+}
+
+#[test]
+fn ply_skips_what_it_does_not_know() {
+    let text = "ply\r\nformat ascii 1.0\r\ncomment hello\r\nobj_info x\r\n\
+                element camera 1\r\nproperty list uchar int views\r\n\
+                element vertex 2\r\nproperty double x\r\nproperty float32 nx\r\n\
+                property double y\r\nproperty double z\r\n\
+                element face 1\r\nproperty list uchar int vertex_indices\r\nend_header\r\n\
+                3 1 2 3\r\n1 9 2 3\r\n4 9 5 6\r\n3 0 1 1\r\n";
+    let cloud = ply::parse(text.as_bytes()).unwrap();
+    assert_eq!(cloud.points[1], Vector3::new(4.0, 5.0, 6.0));
+    assert!(cloud.colors.is_none() && matches!(cloud.descriptors, Descriptors::None));
+}
+
+#[test]
+fn pcd_survives_and_reads_text() {
+    let cloud = small_cloud();
+    let bytes = pcd::format(&cloud);
+    let read = pcd::parse(&bytes).unwrap();
+    assert_eq!((read.points, read.colors), (cloud.points, cloud.colors));
+    for length in 0..bytes.len() {
+        assert!(pcd::parse(&bytes[..length]).is_err(), "{length}");
+    }
+    let text = "VERSION .7\nFIELDS x y z intensity rgb\nSIZE 4 4 4 2 4\nTYPE F F F U F\n\
+                COUNT 1 1 1 2 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 nan 7 8 2.34180515e-38\n";
+    let read = pcd::parse(text.as_bytes()).unwrap();
+    assert_eq!(read.points[0].xy(), nalgebra::Vector2::new(1.0, 2.0));
+    // The bits of the float are 0x00ff0000.
+    assert_eq!(read.colors.unwrap(), vec![[255, 0, 0]]);
+    assert_eq!(read.points.len(), 1);
+}
+
+#[test]
+fn text_clouds_may_name_their_columns() {
+    let check = |text: &str, expected: [f64; 3]| {
+        let cloud = xyz::parse(text.as_bytes()).unwrap();
+        assert_eq!(
+            *cloud.points.last().unwrap(),
+            Vector3::from(expected),
+            "{text:?}"
+        );
+    };
+    check("1 2 3\n", [1.0, 2.0, 3.0]);
+    check("# note\n 1.5e0   2  3 9\n", [1.5, 2.0, 3.0]);
+    check("x,y,z,nx\n-3.5 , 0.6 , -1.3 , 1\n", [-3.5, 0.6, -1.3]);
+    check("id;Z;Y;X\n7;3;2;1\n", [1.0, 2.0, 3.0]);
+    assert_eq!(
+        xyz::parse(&xyz::format(&small_cloud())).unwrap().points,
+        small_cloud().points
+    );
+}
+
+#[test]
+fn clouds_that_cannot_be_read_name_file_and_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let check = |name: &str, text: &str, expected: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let error = read_cloud(&path).unwrap_err().to_string();
+        let line = expected.replace("FILE", &path.display().to_string());
+        assert!(error.ends_with(&line), "got {error:?}, expected {line:?}");
+    };
+    check("a.xyz", "1 2 3\n1 2\n", "2 columns, expected 3 at FILE:2");
+    check("a.xyz", "1 2 3\n1 2 x\n", "\"x\" is no number at FILE:2");
+    check(
+        "a.csv",
+        "a,b,c\n1,2,3\n",
+        "got [\"a\", \"b\", \"c\"] at FILE:1",
+    );
+    check("a.txt", "1 2\n", "2 columns, expected 3 at FILE:1");
+    check("a.xyz", "# nothing\n", "holds no points: FILE");
+    check("a.las", "", ".xyz, .csv or .txt: FILE");
+    check("a.ply", "hello", "does not begin with `ply` at FILE:1");
+    check(
+        "a.ply",
+        "ply\nformat binary_little_endian 1.0\nelement x 99999999999\nend_header\n",
+        "element \"x\" has no properties: FILE",
+    );
+    check(
+        "a.ply",
+        "ply\nformat ascii 1.0\nend_header\n",
+        "names no element `vertex`: FILE",
+    );
+    let header = "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\n\
+                  property float y\nproperty float z\nend_header\n";
+    check(
+        "a.ply",
+        &format!("{header}1 2\n"),
+        "truncated: too few numbers at FILE:8",
+    );
+    check(
+        "a.ply",
+        &format!("{header}1 2 3 4\n"),
+        "\"4\" after the last number at FILE:8",
+    );
+    check(
+        "a.ply",
+        &format!("{header}1 2 x\n"),
+        "\"x\" is no number at FILE:8",
+    );
+    check(
+        "a.ply",
+        &format!("{header}1 2 3\n"),
+        "truncated before vertex 1 of 99999999999 at FILE:9",
+    );
+    check(
+        "a.ply",
+        &header.replace("float x", "half x"),
+        "unknown type \"half\" at FILE:4",
+    );
+    check("a.pcd", "hello", "unknown header line \"hello\" at FILE:1");
+    check(
+        "a.pcd",
+        "FIELDS x y\nSIZE 4\nTYPE F F\nDATA ascii\n",
+        "do not agree at FILE:4",
+    );
+    check(
+        "a.pcd",
+        "DATA binary_compressed\n",
+        "DATA binary_compressed is not supported at FILE:1",
+    );
+    let header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 2\nDATA ascii\n";
+    check(
+        "a.pcd",
+        &format!("{header}1 2 3\n4 5\n"),
+        "2 numbers, expected 3 at FILE:7",
+    );
+    check(
+        "a.pcd",
+        &format!("{header}1 2 3\n"),
+        "truncated before point 1 of 2: FILE",
+    );
+    let lists = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
+                 property float z\nproperty list uchar uchar descriptor\nend_header\n\
+                 1 2 3 1 9\n1 2 3 1 9\n";
+    check("a.ply", lists, "all have 32 or all have 128 bytes: FILE");
+    let missing = read_cloud(&folder.path().join("none.ply")).unwrap_err();
+    assert!(missing.to_string().starts_with("cannot read"), "{missing}");
+}
+
+#[test]
+fn a_cloud_written_under_a_name_is_read_under_it() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.ply", "a.pcd", "a.xyz", "a.CSV"] {
+        let path = folder.path().join(name);
+        write_cloud(&path, &small_cloud()).unwrap();
+        assert_eq!(
+            read_cloud(&path).unwrap().points,
+            small_cloud().points,
+            "{name}"
+        );
+    }
+    assert_eq!(small_cloud().into_cloud().points().len(), 3);
+}
+
+proptest::proptest! {
+    #[test]
+    fn no_bytes_make_a_reader_panic(
+        header in 0..4_usize,
+        bytes in proptest::collection::vec(proptest::prelude::any::<u8>(), 0..200),
+    ) {
+        let headers: [&[u8]; 4] = [
+            b"",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty list int int a\n\
+              property float x\nproperty float y\nproperty float z\nend_header\n",
+            b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 9\nDATA binary\n",
+            b"FIELDS x\nSIZE ",
+        ];
+        let file = [headers[header], &bytes].concat();
+        let _ = (ply::parse(&file), pcd::parse(&file), xyz::parse(&file));
+    }
 }

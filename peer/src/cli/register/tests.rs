@@ -1,0 +1,127 @@
+use super::*;
+
+fn parsed(text: &str) -> anyhow::Result<Start> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("start.txt");
+    std::fs::write(&path, text).unwrap();
+    read_start(path.to_str().unwrap())
+}
+
+#[test]
+fn a_start_is_a_similarity_or_refused() {
+    let Start::Given(start) = parsed("0 -2 0 1\n2 0 0 2\n0 0 2 3\n0 0 0 1\n").unwrap() else {
+        panic!("a file is a given start");
+    };
+    assert!((start.scale() - 2.0).abs() < 1e-12);
+    let moved = start * Vector3::new(1.0, 0.0, 0.0);
+    assert!((moved - Vector3::new(1.0, 4.0, 3.0)).norm() < 1e-12);
+    for (text, expected) in [
+        ("1 2 3", "3 numbers, expected 16"),
+        ("1 0 0 0 0 1 0 0 0 0 x 0 0 0 0 1", "\"x\" is no number"),
+        ("1 0 0 0 0 1 0 0 0 0 nan 0 0 0 0 1", "not a similarity"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "not a similarity"),
+        ("1 0 0 0 0 1 0 0 0 0 2 0 0 0 0 1", "not a similarity"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 2", "not a similarity"),
+        ("0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 1", "not a similarity"),
+    ] {
+        let error = parsed(text).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    assert!(read_start("/no/such/file").is_err());
+}
+
+/// A corner of a room with three different walls.
+fn corner() -> Vec<Vector3<f64>> {
+    let mut points = Vec::new();
+    for a in 0..30 {
+        for b in 0..20 {
+            let (a, b) = (f64::from(a) * 0.1, f64::from(b) * 0.1);
+            points.push(Vector3::new(a, b, 0.02 * (3.0 * a).sin()));
+            points.push(Vector3::new(a, 0.0, b));
+            points.push(Vector3::new(0.0, b * 1.2, a * 0.5));
+        }
+    }
+    points
+}
+
+fn write_points(path: &Path, points: Vec<Vector3<f64>>) {
+    files::write_cloud(path, &files::PointCloud::from_points(points)).unwrap();
+}
+
+#[test]
+fn a_moved_cloud_is_registered_and_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let [source, target, plot] = ["s.ply", "t.pcd", "p.svg"].map(|name| folder.path().join(name));
+    let shift = Vector3::new(0.03, -0.02, 0.04);
+    write_points(&source, corner());
+    write_points(
+        &target,
+        corner().iter().map(|point| point + shift).collect(),
+    );
+    let arguments = RegisterArguments {
+        source,
+        target,
+        metric: MetricArgument::Gicp,
+        with_scale: false,
+        init: "identity".to_owned(),
+        voxel: None,
+        max_distance: None,
+        threads: 2,
+        plot: Some(plot.clone()),
+        json: true,
+    };
+    assert_eq!(run(&arguments).unwrap(), Exit::Done);
+    assert!(
+        std::fs::read_to_string(plot)
+            .unwrap()
+            .contains("source after")
+    );
+}
+
+#[test]
+fn a_refused_registration_says_why_and_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    let [source, target] = ["s.xyz", "t.xyz"].map(|name| folder.path().join(name));
+    write_points(&source, corner()[..2].to_vec());
+    write_points(&target, corner());
+    let arguments = RegisterArguments {
+        source,
+        target,
+        metric: MetricArgument::Point,
+        with_scale: false,
+        init: "identity".to_owned(),
+        voxel: None,
+        max_distance: None,
+        threads: 1,
+        plot: None,
+        json: true,
+    };
+    assert_eq!(run(&arguments).unwrap(), Exit::Refused);
+}
+
+#[test]
+fn summary_has_the_names_of_the_contract() {
+    let outcome = Outcome::Refused {
+        reason: registration::Refusal::Ambiguous,
+        quality: None,
+    };
+    let json = serde_json::to_value(summarise(&outcome, 1.0, 2.0)).unwrap();
+    let names: Vec<&String> = json.as_object().unwrap().keys().collect();
+    let mut expected = [
+        "accepted",
+        "reason",
+        "target_from_source",
+        "scale",
+        "rmse_m",
+        "overlap",
+        "iterations",
+        "ms_preprocess",
+        "ms_align",
+        "covariance",
+    ];
+    expected.sort_unstable();
+    let mut names: Vec<&str> = names.into_iter().map(String::as_str).collect();
+    names.sort_unstable();
+    assert_eq!(names, expected);
+    assert!(json["scale"].is_null() && json["accepted"] == false);
+}

@@ -1,0 +1,86 @@
+//! Pictures of maps and trajectories: seen from above and from the side, in metres.
+
+mod axis;
+mod canvas;
+mod figure;
+mod font;
+mod raster;
+mod svg;
+
+use std::fs;
+use std::path::Path;
+
+use nalgebra::Vector3;
+
+use crate::files::FileError;
+use raster::RasterCanvas;
+use svg::SvgCanvas;
+
+pub use canvas::Color;
+
+/// One cloud or trajectory of a picture.
+#[derive(Clone, Debug)]
+pub struct Layer {
+    pub name: String,
+    pub color: Color,
+    pub mark: Mark,
+    /// In the common frame, x to the right and z up.
+    pub points: Vec<Vector3<f64>>,
+}
+
+/// How the points of a layer are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mark {
+    /// Each by itself. Large clouds are thinned evenly, and far outliers do not set the range.
+    Dots,
+    /// The same with larger dots, which show around those of a cloud that lies over them.
+    LargeDots,
+    /// Joined in their order.
+    Line,
+}
+
+/// A picture with a view from above and one from the side; later layers lie over earlier ones.
+#[derive(Clone, Debug)]
+pub struct Plot {
+    pub title: String,
+    pub layers: Vec<Layer>,
+}
+
+impl Plot {
+    pub fn to_svg(&self) -> String {
+        let mut canvas = SvgCanvas::default();
+        let size_px = figure::draw(self, &mut canvas);
+        canvas.finish(size_px)
+    }
+
+    /// Panics never; an image of this size always encodes.
+    pub fn to_png(&self) -> Vec<u8> {
+        // The size follows from the content, so the first pass only measures.
+        let size_px = figure::draw(self, &mut SvgCanvas::default());
+        let mut canvas = RasterCanvas::new(size_px);
+        figure::draw(self, &mut canvas);
+        canvas.finish()
+    }
+
+    /// Writes PNG or SVG, as the name says.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let extension = path.extension().unwrap_or_default().to_string_lossy();
+        let bytes = match extension.to_ascii_lowercase().as_str() {
+            "svg" => self.to_svg().into_bytes(),
+            "png" => self.to_png(),
+            _ => {
+                return Err(FileError::Content {
+                    reason: "expected a name that ends with .svg or .png".to_owned(),
+                    path: path.to_owned(),
+                });
+            }
+        };
+        fs::write(path, bytes).map_err(|error| FileError::Write {
+            error,
+            path: path.to_owned(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;
