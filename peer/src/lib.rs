@@ -8,6 +8,7 @@ pub mod files;
 pub mod link;
 pub mod node;
 pub mod position;
+pub mod process;
 pub mod store;
 pub mod plot;
 pub mod recorder;

@@ -18,7 +18,7 @@ use zenoh::Wait;
 
 pub use answer::{Answer, Holdings, Question};
 pub use counters::{Counters, Traffic};
-pub use inbox::{Inbox, LinkEvent, RequestId, Sample, inbox};
+pub use inbox::{Inbox, LinkEvent, Origin, RequestId, Sample, inbox};
 pub use publisher::Class;
 pub use question::{ClientError, Reply, ask};
 

@@ -2,15 +2,74 @@
 
 use std::path::PathBuf;
 
-use super::Exit;
+use clap::ValueEnum;
+
+use super::{Exit, output};
+use crate::config::VehicleConfig;
+use crate::process::control::Report;
+use crate::process::{Supervision, fly};
 
 #[derive(clap::Args)]
 pub struct RunArguments {
     /// The vehicle's configuration, see `deploy/`.
     #[arg(long)]
     pub config: PathBuf,
+    /// For a parent process: orders on stdin, reports on stdout.
+    #[arg(long, hide = true)]
+    pub supervised: Option<Supervisor>,
 }
 
-pub fn run(_arguments: &RunArguments) -> anyhow::Result<Exit> {
-    super::later::not_built("run")
+/// What a parent wants to decide.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum Supervisor {
+    /// Nothing; it reads reports, and its end is the vehicle's end.
+    Watch,
+    /// When time passes.
+    Pace,
+}
+
+pub fn run(arguments: &RunArguments) -> anyhow::Result<Exit> {
+    let config = VehicleConfig::load(&arguments.config)?;
+    let supervision = match arguments.supervised {
+        None => Supervision::None,
+        Some(Supervisor::Watch) => Supervision::Watched,
+        Some(Supervisor::Pace) => Supervision::Paced,
+    };
+    let supervised = supervision != Supervision::None;
+    let summary = fly(&config, supervision, &mut |report| match report {
+        report if supervised => print_report(report),
+        Report::Listening { endpoints, .. } => output::diagnose(&client_line(endpoints)),
+        _ => {}
+    })?;
+    if !supervised {
+        output::print_line(&format!(
+            "{}: {} ({}), global in {} of {} frames",
+            summary.id,
+            summary.state,
+            summary.reason,
+            summary.global_frame_count,
+            summary.frame_count
+        ));
+    }
+    let lost = summary.unreadable_count + summary.dropped_count > 0;
+    Ok(if lost && !supervised {
+        Exit::DoneWithLoss
+    } else {
+        Exit::Done
+    })
+}
+
+fn print_report(report: &Report) {
+    let line = serde_json::to_string(report).expect("reports have no maps with odd keys");
+    output::print_line(&line);
+}
+
+/// The line that a Python client needs to look on.
+pub fn client_line(endpoints: &[String]) -> String {
+    let loopback = endpoints.iter().find(|one| one.contains("127.0.0.1"));
+    let endpoint = loopback.or(endpoints.first()).map_or("", String::as_str);
+    format!(
+        "python client: zenoh.open(zenoh.Config.from_json5('{{mode: \"client\", connect: \
+         {{endpoints: [\"{endpoint}\"]}}}}'))"
+    )
 }

@@ -1,0 +1,131 @@
+//! The files that a vehicle leaves behind.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use geometry::{Enu, Map, Similarity};
+use vslam::MapId;
+
+use super::VehicleSummary;
+use crate::files::{PointCloud, StampedPose, format_tum_line, write_cloud, write_tum};
+use crate::node::{FramePose, GlobalFramePose, Node};
+
+/// `{id}.tum` and `{id}.cov.csv` grow with each global frame; the rest is written at the end.
+pub struct Outputs {
+    folder: PathBuf,
+    id: String,
+    trajectory: BufWriter<File>,
+    covariances: BufWriter<File>,
+    own: Vec<(MapId, StampedPose<Map>)>,
+}
+
+impl Outputs {
+    pub fn create(folder: &Path, id: &str) -> anyhow::Result<Self> {
+        let mut covariances = create(folder, &format!("{id}.cov.csv"))?;
+        writeln!(covariances, "timestamp,xx,xy,xz,yy,yz,zz")?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            id: id.to_owned(),
+            trajectory: create(folder, &format!("{id}.tum"))?,
+            covariances,
+            own: Vec::new(),
+        })
+    }
+
+    /// Writes a frame's pose as it was published.
+    pub fn write(&mut self, pose: &FramePose) -> anyhow::Result<()> {
+        if let Some(map_from_camera) = pose.map_from_camera {
+            let own = StampedPose {
+                captured_at: pose.captured_at,
+                target_from_camera: map_from_camera,
+            };
+            self.own.push((pose.map_id, own));
+        }
+        let Some(global) = &pose.global else {
+            return Ok(());
+        };
+        let GlobalFramePose {
+            enu_from_camera,
+            position_covariance: p,
+        } = global;
+        let line = format_tum_line(&StampedPose {
+            captured_at: pose.captured_at,
+            target_from_camera: *enu_from_camera,
+        });
+        writeln!(self.trajectory, "{line}")?;
+        writeln!(
+            self.covariances,
+            "{},{:e},{:e},{:e},{:e},{:e},{:e}",
+            pose.captured_at, p.m11, p.m12, p.m13, p.m22, p.m23, p.m33
+        )?;
+        // Whoever looks on, or finds the files after a crash, sees whole lines.
+        self.trajectory.flush()?;
+        self.covariances.flush()?;
+        Ok(())
+    }
+
+    /// Writes the trajectory after all corrections, the map, and the summary.
+    pub fn write_final(
+        &mut self,
+        node: &Node,
+        enu_from_map: Option<&Similarity<Enu, Map>>,
+        summary: &VehicleSummary,
+    ) -> anyhow::Result<()> {
+        let map = node.slam().map();
+        let mut corrected = Vec::new();
+        let mut points = Vec::new();
+        if let Some(enu_from_map) = enu_from_map {
+            let entries = node.slam().trajectory().into_iter();
+            corrected = entries
+                .filter(|entry| entry.map_id == map.id())
+                .filter_map(|entry| {
+                    Some(StampedPose {
+                        captured_at: entry.captured_at,
+                        target_from_camera: enu_from_map
+                            .transform_pose(&entry.map_from_camera?),
+                    })
+                })
+                .collect();
+            let own_points = map.points();
+            points = own_points
+                .map(|point| *enu_from_map * *point.position_in_map())
+                .collect();
+        }
+        write_tum(&self.path("final.tum"), corrected)?;
+        write_tum(&self.path("own.tum"), self.own_of_longest_map())?;
+        write_cloud(&self.path("map.ply"), &PointCloud::from_points(points))?;
+        let landmarks = node.landmarks_in_enu();
+        if !landmarks.is_empty() {
+            let cloud = PointCloud::from_points(landmarks);
+            write_cloud(&self.path("received.ply"), &cloud)?;
+        }
+        let path = self.path("json");
+        let text = serde_json::to_string_pretty(summary)?;
+        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
+    }
+
+    /// The vehicle's poses as they were published in its own map; poses of different maps share
+    /// no frame, so those of the map with the most of them.
+    fn own_of_longest_map(&self) -> Vec<StampedPose<Map>> {
+        let count = |map: MapId| self.own.iter().filter(|(id, _)| *id == map).count();
+        let mut maps: Vec<MapId> = self.own.iter().map(|(map, _)| *map).collect();
+        maps.dedup();
+        let longest = maps.into_iter().max_by_key(|map| count(*map));
+        let own = self.own.iter();
+        own.filter(|(map, _)| Some(*map) == longest)
+            .map(|(_, pose)| *pose)
+            .collect()
+    }
+
+    fn path(&self, suffix: &str) -> PathBuf {
+        self.folder.join(format!("{}.{suffix}", self.id))
+    }
+}
+
+fn create(folder: &Path, name: &str) -> anyhow::Result<BufWriter<File>> {
+    let path = folder.join(name);
+    let file = File::create(&path).with_context(|| format!("cannot write {}", path.display()))?;
+    Ok(BufWriter::new(file))
+}

@@ -1,0 +1,180 @@
+//! A vehicle on its parent's clock: what arrived is applied in one order, whatever order it
+//! arrived in, so that two runs agree.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::Receiver;
+
+use geometry::Timestamp;
+
+use super::Arrival;
+use super::control::{Counted, Order, Report};
+use super::input::{Input, Source};
+use super::vehicle::Vehicle;
+use crate::link::{Class, LinkEvent};
+use crate::node::Event;
+
+/// Runs until the parent says so or is gone.
+pub(super) fn run(
+    vehicle: &mut Vehicle,
+    source: &mut dyn Source,
+    arrivals: &Receiver<Arrival>,
+    report: &mut dyn FnMut(&Report),
+) -> anyhow::Result<()> {
+    let mut waiting = Waiting::default();
+    let mut pending: Option<Input> = None;
+    while let Ok(arrival) = arrivals.recv() {
+        match arrival {
+            Arrival::Link(event) => {
+                waiting.push(event);
+                // One report for all that is there already.
+                while let Ok(next) = arrivals.try_recv() {
+                    match next {
+                        Arrival::Link(event) => waiting.push(event),
+                        Arrival::Order(order) => {
+                            report(&waiting.heard(vehicle));
+                            if !obey(vehicle, source, &mut waiting, &mut pending, &order, report)? {
+                                return Ok(());
+                            }
+                        }
+                        Arrival::OrdersEnded => return Ok(()),
+                        Arrival::Input(_) => {}
+                    }
+                }
+                report(&waiting.heard(vehicle));
+            }
+            Arrival::Order(order) => {
+                if !obey(vehicle, source, &mut waiting, &mut pending, &order, report)? {
+                    return Ok(());
+                }
+            }
+            Arrival::OrdersEnded => return Ok(()),
+            Arrival::Input(_) => {}
+        }
+    }
+    Ok(())
+}
+
+/// Carries out an order; false if it was the last.
+fn obey(
+    vehicle: &mut Vehicle,
+    source: &mut dyn Source,
+    waiting: &mut Waiting,
+    pending: &mut Option<Input>,
+    order: &Order,
+    report: &mut dyn FnMut(&Report),
+) -> anyhow::Result<bool> {
+    match *order {
+        Order::Greet { now_ns } => vehicle.greet(Timestamp::from_nanoseconds(now_ns))?,
+        Order::Tick { tick, now_ns } => {
+            let now = Timestamp::from_nanoseconds(now_ns);
+            for event in waiting.take_in_order() {
+                vehicle.take_link(event, now)?;
+            }
+            take_inputs(vehicle, source, pending, now)?;
+            vehicle.take(Event::Tick, now)?;
+            report(&Report::TickDone {
+                tick,
+                sent: vehicle.sent(),
+            });
+            report(&waiting.heard(vehicle));
+        }
+        Order::Finish => return Ok(false),
+    }
+    Ok(true)
+}
+
+fn take_inputs(
+    vehicle: &mut Vehicle,
+    source: &mut dyn Source,
+    pending: &mut Option<Input>,
+    now: Timestamp,
+) -> anyhow::Result<()> {
+    while let Some(input) = pending.take().or_else(|| source.next_input()) {
+        if matches!(input, Input::End) {
+            return Ok(());
+        }
+        if input.captured_at() > now {
+            *pending = Some(input);
+            return Ok(());
+        }
+        let captured_at = input.captured_at();
+        vehicle.take_input(input, captured_at)?;
+    }
+    Ok(())
+}
+
+/// What arrived since the last tick, and how far each sender's messages have come.
+#[derive(Default)]
+struct Waiting {
+    events: Vec<LinkEvent>,
+    heard: BTreeMap<String, Counted>,
+    ended_request_count: usize,
+}
+
+impl Waiting {
+    fn push(&mut self, event: LinkEvent) {
+        match &event {
+            LinkEvent::Sample(sample) => {
+                if let Some(origin) = &sample.origin
+                    && let Some(class_idx) = counted(origin.class)
+                {
+                    let heard = self.heard.entry(origin.sender.clone()).or_default();
+                    heard[class_idx] = heard[class_idx].max(origin.sequence);
+                }
+            }
+            LinkEvent::RequestEnded { .. } => self.ended_request_count += 1,
+            _ => {}
+        }
+        self.events.push(event);
+    }
+
+    fn heard(&self, vehicle: &Vehicle) -> Report {
+        let open_request_count = vehicle.open_request_count();
+        Report::Heard {
+            heard: self.heard.clone(),
+            open_request_count: open_request_count.saturating_sub(self.ended_request_count),
+        }
+    }
+
+    /// Chunks come before the beacons that mention them.
+    fn take_in_order(&mut self) -> Vec<LinkEvent> {
+        self.ended_request_count = 0;
+        let mut events = std::mem::take(&mut self.events);
+        events.sort_by_cached_key(rank);
+        events
+    }
+}
+
+/// The class's place in [`Counted`]; poses may be dropped and are not waited for.
+pub(super) fn counted(class: Class) -> Option<usize> {
+    match class {
+        Class::Bulk => Some(0),
+        Class::Notice => Some(1),
+        Class::Telemetry => None,
+    }
+}
+
+type Rank = (u8, Option<crate::link::Origin>, u64, String, Vec<u8>);
+
+fn rank(event: &LinkEvent) -> Rank {
+    match event {
+        LinkEvent::NeighbourLeft { .. } => (0, None, 0, String::new(), Vec::new()),
+        LinkEvent::NeighbourCame { .. } => (1, None, 0, String::new(), Vec::new()),
+        LinkEvent::Sample(sample) => {
+            let class = sample.origin.as_ref().map_or(3, |origin| origin.class as u8);
+            let payload = match sample.origin {
+                Some(_) => Vec::new(),
+                None => sample.payload.to_vec(),
+            };
+            (2 + class, sample.origin.clone(), 0, sample.key.clone(), payload)
+        }
+        LinkEvent::Reply {
+            request,
+            key,
+            payload,
+        } => (6, None, request.0, key.clone(), payload.to_vec()),
+        LinkEvent::RequestEnded { request } => {
+            (7, None, request.0, String::new(), Vec::new())
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! What a vehicle says about its flight at the end.
+
+use serde::{Deserialize, Serialize};
+
+use crate::node::NodeCounters;
+
+/// `{id}.json`. Unknown numbers are null.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VehicleSummary {
+    pub id: String,
+    pub role: String,
+    pub state: String,
+    pub reason: String,
+    /// Frames given to the vehicle.
+    pub frame_count: u64,
+    /// Images that could not be used.
+    pub unreadable_count: u64,
+    pub global_frame_count: u64,
+    pub global_share: Option<f64>,
+    /// From the first frame to the first global pose.
+    pub first_global_s: Option<f64>,
+    /// Metres per unit of the own map.
+    pub scale: Option<f64>,
+    pub keyframe_count: usize,
+    pub point_count: usize,
+    pub bytes_sent: u64,
+    pub bytes_received: u64,
+    /// Time without any neighbour, on the vehicle's clock.
+    pub without_link_s: f64,
+    /// Arrivals that found the inbox full.
+    pub dropped_count: u64,
+    /// Input to published pose, wall clock.
+    pub ms_per_frame_p50: Option<f64>,
+    pub ms_per_frame_p99: Option<f64>,
+    pub counters: NodeCounters,
+}
