@@ -10,5 +10,6 @@ pub mod node;
 pub mod position;
 pub mod process;
 pub mod store;
+pub mod team;
 pub mod plot;
 pub mod recorder;

@@ -2,15 +2,23 @@
 
 use std::path::PathBuf;
 
+use anyhow::Context;
 use clap::ArgMatches;
+use serde::Serialize;
 
-use super::Exit;
+use super::run::client_line;
+use super::{Exit, UsageError, output};
+use crate::config::PositionConfig;
+use crate::dataset::DatasetArgument;
+use crate::team::{
+    Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly, table,
+};
 
 #[derive(clap::Args)]
 pub struct TeamArguments {
     /// A recording flown as an anchor; may be repeated.
     #[arg(long, value_name = "DATASET[@A..B]", required = true)]
-    pub anchor: Vec<String>,
+    pub anchor: Vec<DatasetArgument>,
     /// Position fixes of the anchor before it: TUM (site frame) or CSV (WGS84).
     #[arg(long, value_name = "FILE", required = true)]
     pub fixes: Vec<PathBuf>,
@@ -19,13 +27,13 @@ pub struct TeamArguments {
     pub fix_noise_m: f64,
     /// A recording flown as a peer; may be repeated.
     #[arg(long, value_name = "DATASET[@A..B]")]
-    pub peer: Vec<String>,
+    pub peer: Vec<DatasetArgument>,
     /// Where trajectories, covariances and maps go.
     #[arg(long)]
     pub out: PathBuf,
     /// Cuts all links, or those of one vehicle, in seconds since the start; may be repeated.
     #[arg(long, value_name = "[VEHICLE:]A..B")]
-    pub outage: Vec<String>,
+    pub outage: Vec<Outage>,
     /// Threads per vehicle; with one and without an outage two runs agree bit for bit.
     #[arg(long, default_value_t = 1)]
     pub threads: usize,
@@ -36,6 +44,115 @@ pub struct TeamArguments {
     pub json: bool,
 }
 
-pub fn run(_arguments: &TeamArguments, _order: &ArgMatches) -> anyhow::Result<Exit> {
-    super::later::not_built("team")
+#[derive(Serialize)]
+struct TeamJson {
+    ok: bool,
+    realtime_factor: f64,
+    vehicles: Vec<VehicleReport>,
+}
+
+pub fn run(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Exit> {
+    let plan = plan(arguments, order)?;
+    let mut bar: Option<output::Progress> = None;
+    let report = fly(&plan, &mut |progress| match progress {
+        Progress::Listening { endpoints } => output::diagnose(&client_line(endpoints)),
+        Progress::Flying { tick_count, .. } => bar
+            .get_or_insert_with(|| output::Progress::start("flying", tick_count as u64))
+            .advance(1),
+    })?;
+    if let Some(bar) = bar {
+        bar.finish();
+    }
+    print(&report, arguments.json)?;
+    Ok(if report.stalled {
+        Exit::DoneWithLoss
+    } else {
+        Exit::Done
+    })
+}
+
+fn print(report: &TeamReport, json: bool) -> anyhow::Result<()> {
+    let vehicles = report.vehicles.iter();
+    let vehicles: Vec<VehicleReport> = vehicles
+        .map(|summary| VehicleReport::new(summary, None))
+        .collect();
+    if json {
+        return output::print_json(&TeamJson {
+            ok: true,
+            realtime_factor: report.realtime_factor,
+            vehicles,
+        });
+    }
+    for line in table(&vehicles) {
+        output::print_line(&line);
+    }
+    output::print_line(&format!("{:.2} times real time", report.realtime_factor));
+    Ok(())
+}
+
+fn plan(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<TeamPlan> {
+    if !(arguments.fix_noise_m >= 0.0 && arguments.fix_noise_m.is_finite()) {
+        let message = format!("--fix-noise-m is {}, expected at least 0", arguments.fix_noise_m);
+        return Err(UsageError(message).into());
+    }
+    let fixes = fixes_of_anchors(arguments, order)?;
+    let anchors = arguments.anchor.iter().zip(&fixes).enumerate();
+    let anchors = anchors.map(|(idx, (dataset, fixes))| PlannedVehicle {
+        id: format!("anchor{}", idx + 1),
+        dataset: dataset.clone(),
+        position: Some(PositionConfig {
+            file: Some(fixes.clone()),
+            noise_m: arguments.fix_noise_m,
+            noise_seed: arguments.seed,
+            ..PositionConfig::default()
+        }),
+    });
+    let peers = arguments.peer.iter().enumerate();
+    let peers = peers.map(|(idx, dataset)| PlannedVehicle {
+        id: format!("peer{}", idx + 1),
+        dataset: dataset.clone(),
+        position: None,
+    });
+    let vehicles: Vec<PlannedVehicle> = anchors.chain(peers).collect();
+    for outage in &arguments.outage {
+        let known = |name: &String| vehicles.iter().any(|vehicle| vehicle.id == *name);
+        if let Some(stranger) = outage.vehicle.as_ref().filter(|name| !known(name)) {
+            let message = format!("--outage names {stranger:?}, which is not in the team");
+            return Err(UsageError(message).into());
+        }
+    }
+    Ok(TeamPlan {
+        vehicles,
+        outages: arguments.outage.clone(),
+        out: arguments.out.clone(),
+        threads: arguments.threads,
+        seed: arguments.seed,
+    })
+}
+
+/// Each `--fixes` belongs to the `--anchor` before it.
+fn fixes_of_anchors(
+    arguments: &TeamArguments,
+    order: &ArgMatches,
+) -> anyhow::Result<Vec<PathBuf>> {
+    let positions = |name: &str| -> Vec<usize> {
+        order.indices_of(name).map(Iterator::collect).unwrap_or_default()
+    };
+    let (anchors, files) = (positions("anchor"), positions("fixes"));
+    let mut fixes: Vec<Option<PathBuf>> = vec![None; anchors.len()];
+    for (file, position) in arguments.fixes.iter().zip(files) {
+        let anchor_idx = anchors.iter().rposition(|anchor| *anchor < position);
+        let slot = anchor_idx
+            .map(|idx| &mut fixes[idx])
+            .filter(|slot| slot.is_none());
+        match slot {
+            Some(slot) => *slot = Some(file.clone()),
+            None => {
+                let message = format!("--fixes {} follows no --anchor", file.display());
+                return Err(UsageError(message).into());
+            }
+        }
+    }
+    let complete: Option<Vec<PathBuf>> = fixes.into_iter().collect();
+    complete.context(UsageError("each --anchor needs --fixes after it".to_owned()))
 }

@@ -1,0 +1,210 @@
+//! When a tick is over: everybody is done, and what was sent over links that are up has arrived.
+
+use std::collections::BTreeMap;
+
+use super::links::LinkPair;
+use crate::process::control::Counted;
+
+/// What each vehicle has sent and heard, and which links count.
+pub struct Barrier {
+    ids: Vec<String>,
+    tick: u64,
+    done: Vec<bool>,
+    sent: Vec<Counted>,
+    heard: Vec<BTreeMap<String, Counted>>,
+    open_request_count: Vec<usize>,
+    /// By sender and receiver.
+    streams: BTreeMap<(usize, usize), Stream>,
+    stalled: bool,
+}
+
+/// Messages from one vehicle to another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stream {
+    /// All that is sent beyond these numbers arrives.
+    Up { floor: Counted },
+    Cut,
+    /// The link may work again; it counts once the newest notice has come through.
+    Healing,
+}
+
+impl Barrier {
+    pub fn new(ids: Vec<String>) -> Self {
+        let count = ids.len();
+        let mut streams = BTreeMap::new();
+        for sender_idx in 0..count {
+            for receiver_idx in (0..count).filter(|idx| *idx != sender_idx) {
+                streams.insert((sender_idx, receiver_idx), Stream::Up { floor: [0, 0] });
+            }
+        }
+        Self {
+            tick: 0,
+            done: vec![false; count],
+            sent: vec![[0, 0]; count],
+            heard: vec![BTreeMap::new(); count],
+            open_request_count: vec![0; count],
+            streams,
+            stalled: false,
+            ids,
+        }
+    }
+
+    pub fn id(&self, vehicle_idx: usize) -> &str {
+        &self.ids[vehicle_idx]
+    }
+
+    pub fn everybody_heard_everybody(&self) -> bool {
+        self.silent().next().is_none()
+    }
+
+    /// Who has not heard whom, for an error.
+    pub fn silent_pairs(&self) -> String {
+        let pairs = self.silent().map(|(sender_idx, receiver_idx)| {
+            format!("{} not {}", self.ids[receiver_idx], self.ids[sender_idx])
+        });
+        pairs.collect::<Vec<_>>().join(", ")
+    }
+
+    pub fn begin(&mut self, tick: u64) {
+        self.tick = tick;
+        self.done.fill(false);
+    }
+
+    pub fn take_done(&mut self, vehicle_idx: usize, tick: u64, sent: Counted) {
+        self.sent[vehicle_idx] = sent;
+        self.done[vehicle_idx] = tick == self.tick;
+    }
+
+    pub fn take_heard(
+        &mut self,
+        vehicle_idx: usize,
+        heard: &BTreeMap<String, Counted>,
+        open_request_count: usize,
+    ) {
+        self.heard[vehicle_idx].clone_from(heard);
+        self.open_request_count[vehicle_idx] = open_request_count;
+    }
+
+    pub fn all_done(&self) -> bool {
+        self.done.iter().all(|done| *done)
+    }
+
+    /// Whether the next tick may begin.
+    pub fn is_passed(&mut self) -> bool {
+        if !self.all_done() {
+            return false;
+        }
+        self.notice_healed();
+        let requests_ended = self.open_request_count.iter().all(|count| *count == 0);
+        requests_ended && self.late().next().is_none()
+    }
+
+    /// What has not arrived is not waited for any longer.
+    pub fn give_up(&mut self) {
+        let late: Vec<(usize, usize)> = self.late().collect();
+        for (sender_idx, receiver_idx) in late {
+            let (sender, receiver) = (&self.ids[sender_idx], &self.ids[receiver_idx]);
+            tracing::warn!(sender, receiver, "messages are late; going on without them");
+            self.streams.insert((sender_idx, receiver_idx), Stream::Healing);
+        }
+        self.open_request_count.fill(0);
+        self.stalled = true;
+    }
+
+    pub fn stalled(&self) -> bool {
+        self.stalled
+    }
+
+    /// The link was cut, or is healed.
+    pub fn set_up(&mut self, pair: LinkPair, up: bool) {
+        let stream = if up { Stream::Healing } else { Stream::Cut };
+        let (a, b) = (pair.server_idx, pair.client_idx);
+        self.streams.insert((a, b), stream);
+        self.streams.insert((b, a), stream);
+    }
+
+    fn heard_from(&self, sender_idx: usize, receiver_idx: usize) -> Counted {
+        let heard = self.heard[receiver_idx].get(&self.ids[sender_idx]);
+        heard.copied().unwrap_or_default()
+    }
+
+    fn notice_healed(&mut self) {
+        let healing = self.streams.iter();
+        let healing = healing.filter(|(_, stream)| **stream == Stream::Healing);
+        let healed: Vec<(usize, usize)> = healing
+            .map(|(pair, _)| *pair)
+            .filter(|(sender_idx, receiver_idx)| {
+                self.heard_from(*sender_idx, *receiver_idx)[1] >= self.sent[*sender_idx][1]
+            })
+            .collect();
+        for pair in healed {
+            let floor = self.sent[pair.0];
+            self.streams.insert(pair, Stream::Up { floor });
+        }
+    }
+
+    fn late(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.streams.iter().filter_map(|(pair, stream)| {
+            let Stream::Up { floor } = stream else {
+                return None;
+            };
+            let (sent, heard) = (self.sent[pair.0], self.heard_from(pair.0, pair.1));
+            let late = (0..2).any(|class| sent[class] > floor[class] && heard[class] < sent[class]);
+            late.then_some(*pair)
+        })
+    }
+
+    fn silent(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let pairs = self.streams.keys().copied();
+        pairs.filter(|(sender_idx, receiver_idx)| self.heard_from(*sender_idx, *receiver_idx)[1] == 0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn heard(barrier: &mut Barrier, receiver_idx: usize, sender: &str, counts: Counted) {
+        let heard = BTreeMap::from([(sender.to_owned(), counts)]);
+        barrier.take_heard(receiver_idx, &heard, 0);
+    }
+
+    #[test]
+    fn a_tick_waits_for_what_was_sent_over_links_that_are_up() {
+        let mut barrier = Barrier::new(vec!["a".into(), "b".into()]);
+        heard(&mut barrier, 0, "b", [0, 1]);
+        heard(&mut barrier, 1, "a", [0, 1]);
+        assert!(barrier.everybody_heard_everybody());
+        barrier.begin(1);
+        barrier.take_done(0, 1, [1, 1]);
+        assert!(!barrier.is_passed(), "b is not done");
+        barrier.take_done(1, 1, [0, 1]);
+        assert!(!barrier.is_passed(), "a's chunk is on its way");
+        heard(&mut barrier, 1, "a", [1, 1]);
+        assert!(barrier.is_passed());
+    }
+
+    #[test]
+    fn a_healed_link_counts_again_once_a_new_notice_came_through() {
+        let mut barrier = Barrier::new(vec!["a".into(), "b".into()]);
+        heard(&mut barrier, 0, "b", [0, 1]);
+        heard(&mut barrier, 1, "a", [0, 1]);
+        let pair = LinkPair {
+            server_idx: 0,
+            client_idx: 1,
+        };
+        barrier.set_up(pair, false);
+        let mut tick = |barrier: &mut Barrier, number: u64, sent: Counted| {
+            barrier.begin(number);
+            barrier.take_done(0, number, sent);
+            barrier.take_done(1, number, [0, 1]);
+            barrier.is_passed()
+        };
+        assert!(tick(&mut barrier, 1, [5, 4]), "nothing is expected over a cut link");
+        barrier.set_up(pair, true);
+        assert!(tick(&mut barrier, 2, [6, 4]), "it may take a while to come back");
+        heard(&mut barrier, 1, "a", [0, 5]);
+        assert!(tick(&mut barrier, 3, [6, 5]), "what was lost before is not waited for");
+        assert!(!tick(&mut barrier, 4, [7, 5]), "what is sent now is");
+    }
+}
