@@ -4,17 +4,24 @@ use geometry::{Matrix7, Similarity};
 use nalgebra::{Matrix3, SMatrix, SymmetricEigen, Vector3};
 
 use crate::cloud::ShapedCloud;
-use crate::icp::{Icp, final_width, find_pairs, information, overlaps};
+use crate::icp::{Icp, find_pairs, information, overlaps};
 use crate::register::{Metric, Quality, Refusal, Source, Target};
 
 /// Of the larger and of the smaller of the two overlaps.
 const OVERLAP_MIN: (f64, f64) = (0.45, 0.25);
-/// Root mean square residual in units of the final kernel width: a wrong alignment of dense
-/// clouds pairs points at random and comes near one half.
-const RESIDUAL_WIDTHS_MAX: f64 = 0.35;
+/// Partners are sought within this many spacings of the coarser cloud.
+const PARTNER_SPACINGS: f64 = 2.5;
+/// Root mean square distance from the surface, relative to how far partners are sought: a wrong
+/// alignment of dense clouds pairs points at random and comes near 0.6.
+const RESIDUAL_MAX: f64 = 0.35;
 /// A direction with less information per pair than this, relative to a pair that fixes it fully,
 /// is not fixed. Normals that are wrong by three degrees pretend 0.003.
 const INFORMATION_MIN: f64 = 0.004;
+
+/// Within this distance a pair is explained by how sparse the clouds are.
+pub(crate) fn partner_distance(source: &ShapedCloud, target: &ShapedCloud, scale: f64) -> f64 {
+    PARTNER_SPACINGS * (source.spacing * scale).max(target.spacing).max(1e-9)
+}
 
 /// Measures how well the clouds agree after the iteration.
 pub(crate) fn measure(
@@ -25,24 +32,30 @@ pub(crate) fn measure(
     with_scale: bool,
 ) -> Quality {
     let alignment = &icp.target_from_source;
-    let width = final_width(source, target, alignment.scale());
+    let width = partner_distance(source, target, alignment.scale());
     let (overlap_source, overlap_target) = overlaps(source, target, alignment, width);
     let mut pairs = Vec::new();
     find_pairs(source, target, alignment, width, false, &mut pairs);
     let rotation = alignment.linear_matrix() / alignment.scale();
-    let mut squares = 0.0;
+    let (mut squares, mut surface_squares) = (0.0, 0.0);
     let mut surface_information = Matrix7::zeros();
     for pair in &pairs {
         let point = source.points[pair.source_idx as usize];
         let residual = target.points[pair.target_idx as usize] - *alignment * point;
         let metric_information = information(source, target, pair, &rotation, metric);
         squares += residual.dot(&(metric_information * residual));
+        let normal = target.shapes[pair.target_idx as usize].normal;
+        surface_squares += match normal {
+            Some(normal) => residual.dot(&normal).powi(2),
+            None => residual.norm_squared(),
+        };
         surface_information +=
             surface(target, pair.target_idx, &rotation, &(point / source.radius));
     }
     let pair_count = pairs.len().max(1) as f64;
     Quality {
         rmse_m: (squares / pair_count).sqrt(),
+        surface_rmse_m: (surface_squares / pair_count).sqrt(),
         overlap_source,
         overlap_target,
         iteration_count: icp.iteration_count,
@@ -75,10 +88,10 @@ pub(crate) fn judge(
             target: quality.overlap_target,
         });
     }
-    let width = final_width(source, target, icp.target_from_source.scale());
-    if quality.rmse_m > RESIDUAL_WIDTHS_MAX * width {
+    let distance = partner_distance(source, target, icp.target_from_source.scale());
+    if quality.surface_rmse_m > RESIDUAL_MAX * distance {
         return Err(Refusal::LargeResidual {
-            rmse_m: quality.rmse_m,
+            rmse_m: quality.surface_rmse_m,
         });
     }
     if !quality.weak_directions.is_empty() {

@@ -20,9 +20,11 @@ pub(crate) use pairs::{Pair, find_pairs, overlaps};
 /// The kernel's width narrows by this factor in each iteration.
 const NARROWING: f64 = 0.8;
 /// The final width in units of the spacing of the coarser cloud.
-const FINAL_WIDTH_SPACINGS: f64 = 2.0;
+const FINAL_WIDTH_SPACINGS: f64 = 5.0;
 /// Pairs beyond this many widths are not sought.
 const GATE_WIDTHS: f64 = 3.0;
+/// Pairs that stand for one independent measurement: those of a neighbourhood.
+const PAIRS_PER_INDEPENDENT: f64 = 10.0;
 /// The scale stays within this factor of where it started.
 const SCALE_FACTOR_MAX: f64 = 2.0;
 
@@ -45,8 +47,8 @@ pub(crate) struct Icp {
     pub scale_bounded: bool,
 }
 
-/// The width of the kernel at the end: differences below it are sampling, not error.
-pub(crate) fn final_width(source: &ShapedCloud, target: &ShapedCloud, scale: f64) -> f64 {
+/// The width of the kernel at the end.
+fn final_width(source: &ShapedCloud, target: &ShapedCloud, scale: f64) -> f64 {
     FINAL_WIDTH_SPACINGS * (source.spacing * scale).max(target.spacing).max(1e-9)
 }
 
@@ -139,9 +141,12 @@ impl NormalEquations {
     }
 
     /// The covariance of the alignment; zero in the scale where that is fixed.
+    ///
+    /// Neighbours share their normals and the bend of their surface, so that only every
+    /// `PAIRS_PER_INDEPENDENT`-th pair counts as evidence of its own.
     pub fn covariance(&self, with_scale: bool) -> Option<Matrix7> {
-        let freedom = (3.0 * self.weight_sum - 7.0).max(1.0);
-        let variance = self.cost / freedom;
+        let freedom = (self.weight_sum - 7.0).max(1.0);
+        let variance = PAIRS_PER_INDEPENDENT * self.cost / freedom;
         if with_scale {
             return self
                 .hessian

@@ -6,7 +6,7 @@ mod icp;
 pub mod kd_tree;
 pub mod localizer;
 pub mod register;
-mod search;
+pub mod search;
 
 pub use cloud::{Cloud, Descriptors, ShapedCloud};
 pub use localizer::{

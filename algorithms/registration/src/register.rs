@@ -91,6 +91,8 @@ pub struct Alignment {
 pub struct Quality {
     /// Of the paired points, in the metric's residual.
     pub rmse_m: f64,
+    /// Of the paired points, across the target's surface.
+    pub surface_rmse_m: f64,
     /// The share of source points with a target point nearby.
     pub overlap_source: f64,
     /// The share of target points in the source's bounding box with a source point nearby.

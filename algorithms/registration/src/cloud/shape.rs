@@ -8,13 +8,13 @@ use super::{Cloud, Descriptors};
 use crate::kd_tree::KdTree;
 
 /// Neighbours that a point's shape is estimated from.
-const NEIGHBOUR_COUNT: usize = 16;
+const NEIGHBOUR_COUNT: usize = 10;
 /// Fewer do not support a shape.
 const NEIGHBOUR_COUNT_MIN: usize = 6;
 /// A neighbourhood whose thinnest side is below this share of the next is a surface (squared).
-const SURFACE_FLATNESS: f64 = 0.15;
+const SURFACE_FLATNESS: f64 = 0.5;
 /// Its middle side must be above this share of the longest, else it is a line (squared).
-const SURFACE_BREADTH: f64 = 0.05;
+const SURFACE_BREADTH: f64 = 0.02;
 /// Variance across a surface relative to along it, in generalised ICP.
 pub(crate) const PLANE_THICKNESS: f64 = 1e-3;
 
