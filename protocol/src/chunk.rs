@@ -312,3 +312,6 @@ impl Message for Chunk {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -248,3 +248,6 @@ fn parse_since(value: &str) -> Result<(Epoch, ChunkNumber), ParameterError> {
     let number = decimal(number).ok_or_else(refuse)?;
     Ok((epoch.parse().map_err(|_| refuse())?, ChunkNumber(number)))
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,6 +11,7 @@ mod manifest;
 mod placement;
 mod pose;
 mod ranges;
+pub mod sync;
 mod wire;
 
 pub use chunk::{Chunk, ChunkCamera, ChunkHeader, ChunkPoint, CutRefusal, MAX_POINTS_PER_CHUNK};
@@ -22,3 +23,6 @@ pub use placement::{ChunkPlacement, Placement, PlacementPage};
 pub use pose::{GlobalPose, Pose, VehicleState};
 pub use ranges::Ranges;
 pub use wire::Reference;
+
+#[cfg(test)]
+mod tests;
