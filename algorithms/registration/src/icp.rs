@@ -25,6 +25,9 @@ const FINAL_WIDTH_SPACINGS: f64 = 5.0;
 const GATE_WIDTHS: f64 = 3.0;
 /// Pairs that stand for one independent measurement: those of a neighbourhood.
 const PAIRS_PER_INDEPENDENT: f64 = 10.0;
+/// Sparse clouds swing between pairings for ever; a last step below this share of the kernel's
+/// width is good enough.
+const SETTLED_WIDTHS: f64 = 0.02;
 /// The scale stays within this factor of where it started.
 const SCALE_FACTOR_MAX: f64 = 2.0;
 
@@ -65,6 +68,7 @@ pub(crate) fn iterate(
     let mut pairs = Vec::new();
     let mut iteration_count = 0;
     let mut converged = false;
+    let mut settled = false;
     let mut scale_bounded = false;
     let mut normal = NormalEquations::default();
     while iteration_count < settings.iteration_limit && !converged && !scale_bounded {
@@ -85,14 +89,16 @@ pub(crate) fn iterate(
         let ratio = alignment.scale() / start.scale();
         scale_bounded = !(1.0 / SCALE_FACTOR_MAX..SCALE_FACTOR_MAX).contains(&ratio);
         let narrow = width <= narrowest * 1.001;
-        converged = narrow && is_small(&step, source.radius);
+        let moved = largest_move(&step, source.radius) * alignment.scale();
+        converged = narrow && moved < 1e-5 * target.radius;
+        settled = narrow && moved < SETTLED_WIDTHS * narrowest;
         width = (width * NARROWING).max(narrowest);
     }
     Some(Icp {
         target_from_source: alignment,
         normal,
         iteration_count,
-        converged,
+        converged: converged || settled,
         scale_bounded,
     })
 }
@@ -117,10 +123,10 @@ fn start_width(
     2.0 * f64::from(found.distance_squared).sqrt()
 }
 
-fn is_small(step: &Tangent7, radius: f64) -> bool {
-    let rotation = step.fixed_rows::<3>(0).norm();
-    let translation = step.fixed_rows::<3>(3).norm();
-    rotation < 1e-5 && translation < 1e-5 * radius && step[6].abs() < 1e-5
+/// How far a step moves a point at the cloud's radius.
+fn largest_move(step: &Tangent7, radius: f64) -> f64 {
+    let turn = step.fixed_rows::<3>(0).norm() + step[6].abs();
+    turn * radius + step.fixed_rows::<3>(3).norm()
 }
 
 impl NormalEquations {

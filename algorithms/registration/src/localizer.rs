@@ -52,7 +52,7 @@ pub struct Localizer {
     anchors: BTreeMap<AnchorIdx, Anchor>,
     fused: Option<Fused>,
     /// The newest own keyframe.
-    newest: Option<Transform<Map, Camera>>,
+    newest: Option<(KeyframeIdx, Transform<Map, Camera>)>,
     accepted_count: u64,
     jump_count: u64,
     refused_input_count: u64,
@@ -174,7 +174,7 @@ impl Localizer {
             self.refused_input_count += 1;
             return AlignmentReport::refused(Refusal::BadInput);
         };
-        self.newest = Some(keyframe.map_from_camera);
+        self.newest = Some((keyframe.id, keyframe.map_from_camera));
         let mut reports = Vec::new();
         let fused = self.fused.as_ref();
         for (idx, anchor) in &mut self.anchors {
@@ -226,6 +226,12 @@ impl Localizer {
             return;
         }
         let mut moved = false;
+        if let Some((newest, pose)) = &mut self.newest
+            && *newest == keyframe
+        {
+            *pose = *map_from_camera;
+            moved = true;
+        }
         for anchor in self.anchors.values_mut() {
             if anchor.track.move_keyframe(keyframe, map_from_camera) {
                 anchor.track.refresh(&anchor.landmarks, &self.settings);
@@ -316,7 +322,7 @@ impl Localizer {
 
     /// Lets the anchors vote anew; whether the estimate has jumped.
     fn fuse_votes(&mut self) -> bool {
-        let Some(map_from_camera) = self.newest else {
+        let Some((_, map_from_camera)) = self.newest else {
             return false;
         };
         let votes: Vec<Vote> = self

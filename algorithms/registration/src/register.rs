@@ -246,3 +246,6 @@ impl Outcome {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,159 @@
+//! Cost of the parts, on generated and seeded input. Names are `what/how/size`.
+
+use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use features::Descriptor;
+use geometry::{Camera, Matrix7, Similarity, Timestamp, Transform};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use registration::kd_tree::KdTree;
+use registration::{
+    AnchorIdx, ChunkIdx, Cloud, KeyframeIdx, KeyframeObservation, Landmark, Localizer,
+    LocalizerSettings, Metric, ObservedFeature, ObservedPoint, RegisterSettings, ShapedCloud,
+    align,
+};
+use std::hint::black_box;
+
+fn unit(rng: &mut impl Rng) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| 2.0 * rng.random::<f64>() - 1.0)
+}
+
+/// Points on the walls of a room of 10 m.
+fn room(point_count: usize, rng: &mut impl Rng) -> Vec<Vector3<f64>> {
+    (0..point_count)
+        .map(|idx| {
+            let mut point = unit(rng) * 5.0;
+            point[idx % 3] = 5.0 * point[idx % 3].signum();
+            point + unit(rng) * 0.01
+        })
+        .collect()
+}
+
+fn nearest(criterion: &mut Criterion) {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let single = |point: &Vector3<f64>| [point.x as f32, point.y as f32, point.z as f32];
+    let points: Vec<[f32; 3]> = room(100_000, &mut rng).iter().map(single).collect();
+    let queries: Vec<[f32; 3]> = room(1000, &mut rng).iter().map(single).collect();
+    let tree = KdTree::new(&points);
+    criterion.bench_function("nearest/kd_tree_thousand_queries/100k", |bencher| {
+        bencher.iter(|| {
+            for query in &queries {
+                black_box(tree.nearest(*query, f32::INFINITY));
+            }
+        });
+    });
+    criterion.bench_function("build/kd_tree/100k", |bencher| {
+        bencher.iter(|| black_box(KdTree::new(&points)));
+    });
+}
+
+fn alignment(criterion: &mut Criterion) {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let target = Cloud::from_points(room(20_000, &mut rng));
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, -0.03, 0.05));
+    let moved = |point: Vector3<f64>| turn * point + Vector3::new(0.1, -0.1, 0.05);
+    let source = Cloud::from_points(room(20_000, &mut rng).into_iter().map(moved).collect());
+    criterion.bench_function("prepare/shapes/20k", |bencher| {
+        bencher.iter(|| black_box(ShapedCloud::new(&target, None)));
+    });
+    let (source, target) = (
+        ShapedCloud::new(&source, None),
+        ShapedCloud::new(&target, None),
+    );
+    let metrics = [
+        ("point_to_point", Metric::Point),
+        ("point_to_plane", Metric::Plane),
+        ("generalised", Metric::Gicp),
+    ];
+    for (name, metric) in metrics {
+        let settings = RegisterSettings {
+            metric,
+            ..RegisterSettings::default()
+        };
+        criterion.bench_function(&format!("align/{name}/20k"), |bencher| {
+            bencher.iter(|| black_box(align(&source, &target, &settings)));
+        });
+    }
+}
+
+/// A keyframe of 800 features in the middle of a map of 20,000 landmarks.
+fn localizer_scene() -> (Vec<Vec<Landmark>>, KeyframeObservation) {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let points = room(20_000, &mut rng);
+    let descriptors: Vec<Descriptor> = points
+        .iter()
+        .map(|_| Descriptor(std::array::from_fn(|_| rng.random())))
+        .collect();
+    let covariance = Matrix3::identity() * 1e-4;
+    let landmarks: Vec<Landmark> = points
+        .iter()
+        .zip(&descriptors)
+        .map(|(point, descriptor)| Landmark {
+            point_in_chunk: *point,
+            covariance_in_chunk: covariance,
+            descriptor: *descriptor,
+        })
+        .collect();
+    let visible = points.iter().zip(&descriptors).filter(|(point, _)| {
+        point.z > 1.0 && point.x.abs() < 0.8 * point.z && point.y.abs() < 0.6 * point.z
+    });
+    let features = visible
+        .take(800)
+        .map(|(point, descriptor)| ObservedFeature {
+            position: point.xy() / point.z,
+            sigma: 0.003,
+            descriptor: *descriptor,
+            point: Some(ObservedPoint {
+                point_in_map: *point,
+                covariance_in_map: covariance,
+            }),
+        });
+    let keyframe = KeyframeObservation {
+        id: KeyframeIdx(0),
+        captured_at: Timestamp::from_nanoseconds(0),
+        map_from_camera: Transform::<geometry::Map, Camera>::identity(),
+        features: features.collect(),
+    };
+    (
+        landmarks.chunks(250).map(<[Landmark]>::to_vec).collect(),
+        keyframe,
+    )
+}
+
+fn localization(criterion: &mut Criterion) {
+    let (chunks, keyframe) = localizer_scene();
+    let anchor = AnchorIdx(0);
+    let fresh = || {
+        let mut localizer = Localizer::new(LocalizerSettings::default());
+        for (idx, landmarks) in chunks.iter().enumerate() {
+            localizer.insert_chunk(anchor, ChunkIdx(idx as u64), landmarks.clone());
+            localizer.place_chunk(anchor, ChunkIdx(idx as u64), Similarity::identity());
+        }
+        localizer.place_anchor(
+            anchor,
+            Similarity::identity(),
+            Matrix7::identity() * 1e-6,
+            1,
+        );
+        localizer
+    };
+    criterion.bench_function("localize/search/800_in_20k", |bencher| {
+        let observe = |mut localizer: Localizer| localizer.observe_keyframe(&keyframe);
+        bencher.iter_batched(fresh, observe, BatchSize::LargeInput);
+    });
+    let mut localizer = fresh();
+    for id in 0..3 {
+        let mut keyframe = keyframe.clone();
+        keyframe.id = KeyframeIdx(id);
+        let ahead = Vector3::new(0.0, 0.0, 1e-6 * id as f64);
+        keyframe.map_from_camera = Transform::new(UnitQuaternion::identity(), ahead);
+        localizer.observe_keyframe(&keyframe);
+    }
+    assert!(localizer.estimate(Timestamp::from_nanoseconds(0)).is_some());
+    criterion.bench_function("localize/predicted/800_in_20k", |bencher| {
+        bencher.iter(|| black_box(localizer.observe_keyframe(&keyframe)));
+    });
+}
+
+criterion_group!(benches, nearest, alignment, localization);
+criterion_main!(benches);
