@@ -3,15 +3,19 @@
 mod conditioner;
 mod paint;
 mod picture;
+mod position_source;
 mod renderer;
+mod route;
 mod scenario;
 mod serve;
 pub mod stream;
 mod world;
 
 pub use conditioner::{Conditioner, Cut, Traffic};
+pub use position_source::PositionSourceSettings;
 pub use renderer::{Renderer, Scene, SensorSettings, Shot, gain_at};
-pub use scenario::{ScenarioName, VehicleDescription};
+pub use route::{Motion, Route};
+pub use scenario::{Scenario, ScenarioName, Vehicle, VehicleDescription};
 pub use serve::{
     Ending, Listener, Pace, ServeError, ServeEvent, ServeReport, ServeSettings, VehicleReport,
     serve,

@@ -1,9 +1,19 @@
 //! Worlds with vehicles in them.
 
+mod lab;
+
+use std::time::Duration;
+
 use camera::{CameraModel, Distortion, Intrinsics};
-use geometry::{Body, Camera, Transform};
+use geometry::{Body, Camera, Enu, Timestamp, Transform};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
+
+use crate::position_source::PositionSourceSettings;
+use crate::renderer::{SensorSettings, Shot, gain_at};
+use crate::route::Route;
+use crate::stream::Fix;
+use crate::world::World;
 
 /// The scenarios that can be asked for by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,6 +47,108 @@ impl ScenarioName {
         match self {
             Self::Lab => lab_vehicles(),
         }
+    }
+}
+
+/// A world, its vehicles, and all that they do in it: the truth.
+pub struct Scenario {
+    pub seed: u64,
+    pub world: World,
+    pub vehicles: Vec<Vehicle>,
+    pub frame_count: usize,
+    pub frame_rate_hz: f64,
+    pub position_source: PositionSourceSettings,
+}
+
+/// A vehicle and its way.
+pub struct Vehicle {
+    pub description: VehicleDescription,
+    pub sensor: SensorSettings,
+    pub route: Route,
+}
+
+/// The clock of every vehicle says this when the routes begin.
+const START: Timestamp = Timestamp::from_nanoseconds(10_000_000_000);
+
+impl Scenario {
+    pub fn new(name: ScenarioName, seed: u64) -> Self {
+        match name {
+            ScenarioName::Lab => Self::lab(seed),
+        }
+    }
+
+    /// The rendered lab of the demo: 52 s at 10 Hz.
+    pub fn lab(seed: u64) -> Self {
+        let world = World::lab(seed);
+        let routes = lab::routes(&world, seed);
+        let vehicles = lab_vehicles().into_iter().zip(routes);
+        let frame_rate_hz = 10.0;
+        Self {
+            seed,
+            vehicles: vehicles
+                .map(|(description, route)| Vehicle {
+                    description,
+                    sensor: SensorSettings::default(),
+                    route,
+                })
+                .collect(),
+            world,
+            frame_count: (lab::DURATION_S * frame_rate_hz) as usize,
+            frame_rate_hz,
+            position_source: PositionSourceSettings::default(),
+        }
+    }
+
+    /// When a frame is captured, in seconds since the start.
+    pub fn frame_time_s(&self, frame_idx: usize) -> f64 {
+        frame_idx as f64 / self.frame_rate_hz
+    }
+
+    /// What a vehicle's clock says at a time since the start.
+    pub fn timestamp(&self, time_s: f64) -> Timestamp {
+        START.after(Duration::from_secs_f64(time_s.max(0.0)))
+    }
+
+    /// Where a vehicle's camera truly is.
+    pub fn site_from_camera(&self, vehicle_idx: usize, time_s: f64) -> Transform<Enu, Camera> {
+        let vehicle = &self.vehicles[vehicle_idx];
+        vehicle.route.pose(time_s) * vehicle.description.body_from_camera
+    }
+
+    /// All that a vehicle's camera needs for a frame.
+    pub fn shot(&self, vehicle_idx: usize, frame_idx: usize) -> Shot {
+        let time_s = self.frame_time_s(frame_idx);
+        let vehicle = &self.vehicles[vehicle_idx];
+        let motion = vehicle.route.motion(time_s);
+        let body_from_camera = &vehicle.description.body_from_camera;
+        let site_from_camera = motion.site_from_body * *body_from_camera;
+        let camera_from_body = body_from_camera.rotation().inverse();
+        let phase_rad = (self.seed % 64) as f64 + 2.0 * vehicle_idx as f64;
+        Shot {
+            site_from_camera,
+            // The body's origin is the camera's centre.
+            velocity_in_camera: site_from_camera.rotation().inverse() * motion.velocity_in_site,
+            rotation_rate_in_camera: camera_from_body * motion.rotation_rate_in_body,
+            gain: gain_at(time_s, phase_rad),
+            noise_seed: self.seed.rotate_left(40) ^ ((vehicle_idx as u64) << 32) ^ frame_idx as u64,
+        }
+    }
+
+    /// The fixes of a vehicle in the order of their stamps; none without a position source.
+    pub fn fixes(&self, vehicle_idx: usize) -> Vec<Fix> {
+        if !self.vehicles[vehicle_idx].description.has_position_source {
+            return Vec::new();
+        }
+        let duration_s = self.frame_time_s(self.frame_count);
+        self.position_source
+            .times_s(duration_s)
+            .map(|time_s| {
+                let truth = self.site_from_camera(vehicle_idx, time_s);
+                let captured_at = self.timestamp(time_s);
+                self.position_source
+                    .fix(truth.translation(), captured_at, self.seed)
+            })
+            .collect()
     }
 }
 

@@ -28,7 +28,7 @@ impl World {
     /// A laboratory of about 10 × 8 × 3 m: shelves, tables, crates and posters along the walls,
     /// and one pile in the middle.
     pub fn lab(seed: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x1ab_0_0001);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x1ab0_0001);
         let size_m = Vector3::new(
             rng.random_range(9.7..10.3),
             rng.random_range(7.8..8.3),

@@ -236,6 +236,15 @@ impl Canvas {
         }
     }
 
+    /// Sets every texel to the shade at its centre.
+    #[cfg(test)]
+    pub fn paint_each(&mut self, shade: &impl Fn(f64, f64) -> f32) {
+        let metres = |texel: usize| (texel as f64 + 0.5) * f64::from(self.texel_m);
+        for (idx, value) in self.shades.iter_mut().enumerate() {
+            *value = shade(metres(idx % self.width), metres(idx / self.width));
+        }
+    }
+
     /// The texels of a row (axis 0) or column (axis 1) whose centres lie within an area.
     fn span(&self, area: &Area, axis: usize) -> std::ops::Range<usize> {
         let count = [self.width, self.height][axis];

@@ -148,8 +148,9 @@ impl Facet {
             right: [[0.0; LANES]; 2],
             down: [[0.0; LANES]; 2],
         };
-        for lane in 0..LANES {
-            let ray = [rays[0][lane], rays[1][lane]];
+        let [xs, ys] = rays;
+        for (lane, (x, y)) in xs.iter().zip(ys).enumerate() {
+            let ray = [*x, *y];
             let scale = texels_per_m / inverse.at(ray).max(1e-4);
             let u = (right.at(ray) * scale)
                 .max(0.0)

@@ -32,9 +32,9 @@ impl Window {
     };
 
     pub fn include(&mut self, ray: [f32; 2]) {
-        for axis in 0..2 {
-            self.from[axis] = self.from[axis].min(ray[axis]);
-            self.to[axis] = self.to[axis].max(ray[axis]);
+        for (axis, position) in ray.into_iter().enumerate() {
+            self.from[axis] = self.from[axis].min(position);
+            self.to[axis] = self.to[axis].max(position);
         }
     }
 

@@ -86,7 +86,7 @@ impl Sensor {
             let [xs, ys] = lens.tile_pixels(tile_idx);
             for y in ys {
                 let mut light = [0.0; TILE_PX];
-                gather(&taps, &shades[..], lens.place(xs.start, y), &mut light);
+                gather(&taps, shades, lens.place(xs.start, y), &mut light);
                 let row = y * lens.width + xs.start..y * lens.width + xs.end;
                 self.read_out(
                     &light,

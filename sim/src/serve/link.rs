@@ -1,0 +1,141 @@
+//! The connection to one vehicle.
+
+use std::io::{self, Write};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use camera::Image;
+use geometry::Timestamp;
+
+use super::ServeError;
+use crate::stream::{self, Fix, Message};
+
+/// How long a client that connected may take to say hello.
+const HELLO_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// A free loopback port for each vehicle.
+pub fn listen(vehicle_count: usize) -> Result<Vec<(TcpListener, SocketAddr)>, ServeError> {
+    let bind = |_| {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+        let address = listener.local_addr()?;
+        Ok((listener, address))
+    };
+    (0..vehicle_count)
+        .map(bind)
+        .collect::<io::Result<_>>()
+        .map_err(ServeError::Listen)
+}
+
+/// The vehicles that connect and say hello in time; the others are `None`.
+pub fn await_hellos(
+    listeners: Vec<(TcpListener, SocketAddr)>,
+    timeout: Duration,
+) -> Vec<Option<TcpStream>> {
+    let deadline = Instant::now() + timeout;
+    let mut streams: Vec<Option<TcpStream>> = listeners.iter().map(|_| None).collect();
+    let addresses: Vec<SocketAddr> = listeners.iter().map(|(_, address)| *address).collect();
+    thread::scope(|scope| {
+        let (sender, arrivals) = channel();
+        for (vehicle_idx, (listener, _)) in listeners.into_iter().enumerate() {
+            let sender = sender.clone();
+            scope.spawn(move || accept_vehicle(&listener, vehicle_idx, deadline, &sender));
+        }
+        drop(sender);
+        while streams.iter().any(Option::is_none) {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match arrivals.recv_timeout(left) {
+                Ok((vehicle_idx, stream)) => streams[vehicle_idx] = Some(stream),
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        // Whoever still sleeps in accept is woken by a connection that says nothing.
+        for (stream, address) in streams.iter().zip(addresses) {
+            if stream.is_none() {
+                let _ = TcpStream::connect(address);
+            }
+        }
+    });
+    streams
+}
+
+/// Accepts clients until one says hello; others are closed.
+fn accept_vehicle(
+    listener: &TcpListener,
+    vehicle_idx: usize,
+    deadline: Instant,
+    arrivals: &Sender<(usize, TcpStream)>,
+) {
+    while let Ok((stream, _)) = listener.accept() {
+        if let Ok(stream) = greet(stream) {
+            let _ = arrivals.send((vehicle_idx, stream));
+            return;
+        }
+        if Instant::now() >= deadline {
+            return;
+        }
+    }
+}
+
+fn greet(mut stream: TcpStream) -> Result<TcpStream, stream::ReadError> {
+    stream.set_nodelay(true)?;
+    stream.set_read_timeout(Some(HELLO_TIMEOUT))?;
+    match stream::read_message(&mut stream)? {
+        Message::Hello => {
+            stream::write_message(&mut stream, &Message::Hello)?;
+            Ok(stream)
+        }
+        _ => Err(io::Error::from(io::ErrorKind::InvalidData).into()),
+    }
+}
+
+/// A vehicle that said hello. Every error is a reason to give it up.
+pub struct Link {
+    stream: TcpStream,
+    bytes: Vec<u8>,
+}
+
+impl Link {
+    pub fn new(stream: TcpStream, timeout: Duration) -> io::Result<Self> {
+        stream.set_read_timeout(Some(timeout))?;
+        stream.set_write_timeout(Some(timeout))?;
+        Ok(Self {
+            stream,
+            bytes: Vec::new(),
+        })
+    }
+
+    /// Sends fixes, then a frame.
+    pub fn send(
+        &mut self,
+        fixes: &[Fix],
+        captured_at: Timestamp,
+        image: &Image,
+    ) -> Result<(), String> {
+        self.bytes.clear();
+        for fix in fixes {
+            stream::encode(&Message::Fix(fix.clone()), &mut self.bytes);
+        }
+        stream::encode_frame(captured_at, image, &mut self.bytes);
+        self.stream
+            .write_all(&self.bytes)
+            .map_err(|error| format!("cannot send: {error}"))
+    }
+
+    pub fn await_acknowledgement(&mut self, expected: Timestamp) -> Result<(), String> {
+        match stream::read_message(&mut self.stream) {
+            Ok(Message::Acknowledgement { captured_at }) if captured_at == expected => Ok(()),
+            Ok(Message::Acknowledgement { captured_at }) => Err(format!(
+                "acknowledged the frame of {captured_at}, expected {expected}"
+            )),
+            Ok(_) => Err("sent something else than an acknowledgement".into()),
+            Err(error) => Err(format!("no acknowledgement: {error}")),
+        }
+    }
+
+    /// Says that nothing follows. A vehicle that has left already does not need to hear it.
+    pub fn end(mut self) {
+        let _ = stream::write_message(&mut self.stream, &Message::End);
+    }
+}
