@@ -6,8 +6,8 @@ use crate::simd::{InstructionSet, multiversion};
 const TAP_COUNT: usize = 7;
 const RADIUS_PX: usize = TAP_COUNT / 2;
 
-/// A Gaussian of σ = 2 px in 256ths.
-const WEIGHTS: [u16; TAP_COUNT] = [18, 34, 48, 56, 48, 34, 18];
+/// A Gaussian of σ = 1.2 px in 256ths.
+const WEIGHTS: [u16; TAP_COUNT] = [4, 21, 60, 86, 60, 21, 4];
 
 /// Smooths planes; keeps its buffer.
 #[derive(Clone, Debug, Default)]
@@ -16,26 +16,33 @@ pub(crate) struct Blur {
 }
 
 impl Blur {
-    /// Replaces `target` by the source under a Gaussian; the border is continued by its pixels.
+    /// Replaces `target` by the source under a Gaussian, with `padding_px` around it; beyond the
+    /// border the source is continued by its outermost pixels.
     pub(crate) fn smooth(
         &mut self,
         instructions: InstructionSet,
         source: &Plane,
+        padding_px: usize,
         target: &mut Plane,
     ) {
-        let (width, height) = (source.width(), source.height());
-        target.resize(width, height, source.stride());
+        let (source_width, source_height) = (source.width(), source.height());
+        let (width, height) = (
+            source_width + 2 * padding_px,
+            source_height + 2 * padding_px,
+        );
+        target.resize(width, height, width);
+        let border = RADIUS_PX + padding_px;
         self.row.clear();
-        self.row.resize(width + 2 * RADIUS_PX, 0);
+        self.row.resize(source_width + 2 * border, 0);
         for y in 0..height {
             let rows: [&[u8]; TAP_COUNT] = std::array::from_fn(|idx| {
-                source.row((y + idx).saturating_sub(RADIUS_PX).min(height - 1))
+                source.row((y + idx).saturating_sub(border).min(source_height - 1))
             });
-            let inner = RADIUS_PX..RADIUS_PX + width;
+            let inner = border..border + source_width;
             weigh(instructions, &rows, &mut self.row[inner]);
-            let (first, last) = (self.row[RADIUS_PX], self.row[RADIUS_PX + width - 1]);
-            self.row[..RADIUS_PX].fill(first);
-            self.row[RADIUS_PX + width..].fill(last);
+            let (first, last) = (self.row[border], self.row[border + source_width - 1]);
+            self.row[..border].fill(first);
+            self.row[border + source_width..].fill(last);
             let columns: [&[u8]; TAP_COUNT] =
                 std::array::from_fn(|idx| &self.row[idx..idx + width]);
             weigh(instructions, &columns, target.row_mut(y));

@@ -5,12 +5,12 @@ use nalgebra::Vector2;
 
 use crate::blur::Blur;
 use crate::corners::{Corner, CornerFinder};
-use crate::pattern::{PATCH_RADIUS_PX, TurnedPattern};
+use crate::patch::{self, Placement};
 use crate::plane::Plane;
 use crate::pyramid::{Pyramid, PyramidShape};
 use crate::simd::InstructionSet;
 use crate::spread::{self, RatedCorner};
-use crate::{Features, Keypoint, orientation};
+use crate::{Features, Keypoint, histogram, orientation, projection};
 
 /// What an [`Extractor`] looks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +40,12 @@ impl Default for ExtractorSettings {
 }
 
 /// Distance of a corner's pixel from the border of its level.
-const MARGIN_PX: usize = PATCH_RADIUS_PX + 1;
+///
+/// The disc of the orientation and nearly all of the patch lie inside; the patch's corners, which
+/// hardly count, may lie in the padding.
+pub(crate) const MARGIN_PX: usize = 16;
+/// Around smoothed levels, for patches at the margin that are shifted by up to one pixel.
+const PADDING_PX: usize = patch::REACH_PX + 1 - MARGIN_PX;
 
 /// Finds features; keeps its buffers from image to image.
 #[derive(Clone, Debug)]
@@ -50,7 +55,6 @@ pub struct Extractor {
     pyramid: Pyramid,
     finder: CornerFinder,
     blur: Blur,
-    pattern: TurnedPattern,
     /// Corners of all levels, one list each.
     corners: Vec<Vec<Corner>>,
     strongest: Vec<u8>,
@@ -66,7 +70,6 @@ impl Extractor {
             pyramid: Pyramid::default(),
             finder: CornerFinder::default(),
             blur: Blur::default(),
-            pattern: TurnedPattern::default(),
             corners: vec![Vec::new(); settings.level_count],
             strongest: Vec::new(),
             rated: Vec::new(),
@@ -133,17 +136,25 @@ impl Extractor {
         if self.rated.is_empty() {
             return;
         }
-        self.blur.smooth(self.instructions, plane, &mut self.smooth);
-        self.pattern.prepare(plane.stride());
+        self.blur
+            .smooth(self.instructions, plane, PADDING_PX, &mut self.smooth);
         let scale = self.level_scale(level as u8);
         for RatedCorner {
             corner, structure, ..
         } in &self.rated
         {
             let (x, y) = (usize::from(corner.x), usize::from(corner.y));
-            let angle_rad = orientation::angle_rad(plane, x, y);
-            let descriptor = self.pattern.describe(&self.smooth, x, y, angle_rad);
             let position = Vector2::new(x as f64, y as f64) + structure.shift_px;
+            let centroid = orientation::centroid(plane, x, y);
+            let placement = Placement {
+                centre_px: position.add_scalar(PADDING_PX as f64).cast(),
+                direction: centroid.try_normalize(0.0).unwrap_or_else(Vector2::x),
+            };
+            let patch = patch::sample(self.instructions, &self.smooth, &placement);
+            let mut histogram = [0.0; histogram::BIN_COUNT];
+            histogram::gather(self.instructions, &patch, &mut histogram);
+            let descriptor = projection::binarise(self.instructions, &histogram);
+            let angle_rad = centroid.y.atan2(centroid.x);
             features.descriptors.push(descriptor);
             features.keypoints.push(Keypoint {
                 position_px: (position.add_scalar(0.5) * scale).add_scalar(-0.5),

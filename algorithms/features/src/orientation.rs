@@ -1,5 +1,7 @@
 //! Which way a corner points.
 
+use nalgebra::Vector2;
+
 use crate::plane::Plane;
 
 /// Radius of the disc whose centroid is taken.
@@ -21,10 +23,10 @@ const fn half_widths() -> [usize; DISC_RADIUS_PX + 1] {
     widths
 }
 
-/// Direction from the pixel to the brightness centroid of the disc around it, from x to y.
+/// From the pixel towards the brightness centroid of the disc around it, not normalised.
 ///
 /// Rosin 1999, as in ORB (Rublee et al. 2011, eq. 1–3). The disc must lie inside the plane.
-pub(crate) fn angle_rad(plane: &Plane, x: usize, y: usize) -> f32 {
+pub(crate) fn centroid(plane: &Plane, x: usize, y: usize) -> Vector2<f32> {
     let (mut moment_x, mut moment_y) = (0_i32, 0_i32);
     for v in 0..=DISC_RADIUS_PX {
         let half_width = HALF_WIDTHS_PX[v];
@@ -40,5 +42,5 @@ pub(crate) fn angle_rad(plane: &Plane, x: usize, y: usize) -> f32 {
         moment_x += if v == 0 { first / 2 } else { first };
         moment_y += v as i32 * difference;
     }
-    (moment_y as f32).atan2(moment_x as f32)
+    Vector2::new(moment_x as f32, moment_y as f32)
 }
