@@ -114,6 +114,13 @@ impl Localizer {
         chunk: ChunkIdx,
         map_from_chunk: Similarity<Map, Chunk>,
     ) {
+        let known = self
+            .anchors
+            .get(&anchor)
+            .and_then(|anchor| anchor.landmarks.placed(chunk));
+        if known == Some(&map_from_chunk.relabel()) {
+            return;
+        }
         let settings = self.settings.clone();
         let placed = self.anchor_mut(anchor).is_some_and(|anchor| {
             let placed = anchor.landmarks.place_chunk(chunk, &map_from_chunk);
@@ -217,30 +224,42 @@ impl Localizer {
         keyframe: KeyframeIdx,
         map_from_camera: &Transform<Map, Camera>,
     ) {
-        if !map_from_camera
-            .to_matrix()
-            .iter()
-            .all(|one| one.is_finite())
-        {
-            self.refused_input_count += 1;
-            return;
-        }
+        self.keyframes_moved([(keyframe, *map_from_camera)]);
+    }
+
+    /// States where keyframes of the own map are after an optimisation; those that are not in
+    /// the window, or did not move, cost nothing.
+    pub fn keyframes_moved(
+        &mut self,
+        keyframes: impl IntoIterator<Item = (KeyframeIdx, Transform<Map, Camera>)>,
+    ) {
         let mut moved = false;
-        if let Some((newest, pose)) = &mut self.newest
-            && *newest == keyframe
-        {
-            *pose = *map_from_camera;
-            moved = true;
-        }
-        for anchor in self.anchors.values_mut() {
-            if anchor.track.move_keyframe(keyframe, map_from_camera) {
-                anchor.track.refresh(&anchor.landmarks, &self.settings);
-                moved = true;
+        for (keyframe, map_from_camera) in keyframes {
+            if !map_from_camera
+                .to_matrix()
+                .iter()
+                .all(|one| one.is_finite())
+            {
+                self.refused_input_count += 1;
+                continue;
+            }
+            if let Some((newest, pose)) = &mut self.newest
+                && *newest == keyframe
+            {
+                moved |= *pose != map_from_camera;
+                *pose = map_from_camera;
+            }
+            for anchor in self.anchors.values_mut() {
+                moved |= anchor.track.move_keyframe(keyframe, &map_from_camera);
             }
         }
-        if moved {
-            self.fuse_votes();
+        if !moved {
+            return;
         }
+        for anchor in self.anchors.values_mut() {
+            anchor.track.refresh(&anchor.landmarks, &self.settings);
+        }
+        self.fuse_votes();
     }
 
     /// Forgets all that was aligned, because the own map has started anew. Landmarks stay.

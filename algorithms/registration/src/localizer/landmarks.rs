@@ -93,6 +93,8 @@ pub(super) struct AnchorLandmarks {
     chunks: BTreeMap<ChunkIdx, StoredChunk>,
     /// Placements of chunks that have not come yet.
     early_placements: BTreeMap<ChunkIdx, Similarity<AnchorMap, Chunk>>,
+    /// Where removed chunks stood: what was located relative to them stays true.
+    last_placements: BTreeMap<ChunkIdx, Similarity<AnchorMap, Chunk>>,
     placement: Option<AnchorPlacement>,
     landmark_count: usize,
 }
@@ -171,7 +173,13 @@ impl AnchorLandmarks {
     }
 
     pub fn remove_chunk(&mut self, chunk: ChunkIdx) {
-        self.chunks.remove(&chunk);
+        let removed = self.chunks.remove(&chunk);
+        if let Some(placement) = removed.and_then(|removed| removed.map_from_chunk) {
+            self.last_placements.insert(chunk, placement);
+            while self.last_placements.len() > CHUNKS_PER_ANCHOR_MAX {
+                self.last_placements.pop_first();
+            }
+        }
         self.early_placements.remove(&chunk);
         self.count_landmarks();
     }
@@ -180,8 +188,15 @@ impl AnchorLandmarks {
         self.placement.as_ref()
     }
 
-    pub fn map_from_chunk(&self, chunk: ChunkIdx) -> Option<&Similarity<AnchorMap, Chunk>> {
+    /// Where a stored chunk stands.
+    pub fn placed(&self, chunk: ChunkIdx) -> Option<&Similarity<AnchorMap, Chunk>> {
         self.chunks.get(&chunk)?.map_from_chunk.as_ref()
+    }
+
+    /// Where a chunk stands, or stood when it was removed.
+    pub fn map_from_chunk(&self, chunk: ChunkIdx) -> Option<&Similarity<AnchorMap, Chunk>> {
+        self.placed(chunk)
+            .or_else(|| self.last_placements.get(&chunk))
     }
 
     /// All chunks that are placed, in order.

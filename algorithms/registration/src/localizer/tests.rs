@@ -333,3 +333,28 @@ fn equal_input_gives_equal_estimates() {
     assert_eq!(first.enu_from_map, second.enu_from_map);
     assert_eq!(first.covariance, second.covariance);
 }
+
+#[test]
+fn most_descriptors_may_be_wrong() {
+    let mut scene = scene(13, 1.0);
+    scene.flyer.wrong_descriptor_share = 0.7;
+    scene.publish(&AnchorSettings::default());
+    let accepted = (0..20)
+        .filter(|step| scene.step(*step).verdict == Verdict::Accepted)
+        .count();
+    assert!(accepted >= 15, "{accepted} of 20");
+    assert!(scene.position_error().unwrap().0 < 0.1);
+}
+
+#[test]
+fn removing_chunks_does_not_remove_what_was_located_in_them() {
+    let mut scene = scene(14, 1.0);
+    scene.publish(&AnchorSettings::default());
+    (0..5).for_each(|step| drop(scene.step(step)));
+    let before = scene.estimate().unwrap().enu_from_map;
+    (0..30).for_each(|idx| scene.localizer.remove_chunk(AnchorIdx(0), ChunkIdx(idx)));
+    assert_eq!(scene.localizer.landmark_count(), 0);
+    assert_eq!(scene.estimate().unwrap().enu_from_map, before);
+    scene.localizer.remove_anchor(AnchorIdx(0));
+    assert!(scene.estimate().is_none());
+}

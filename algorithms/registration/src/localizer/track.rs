@@ -329,7 +329,7 @@ impl Track {
         self.state = filter(self.entries.iter(), anchor, settings);
     }
 
-    /// Whether the keyframe is part of the track.
+    /// Whether the keyframe is part of the track and has moved.
     pub fn move_keyframe(
         &mut self,
         keyframe: KeyframeIdx,
@@ -337,7 +337,7 @@ impl Track {
     ) -> bool {
         let mut found = false;
         for entry in self.entries.iter_mut().chain(&mut self.waiting) {
-            if entry.keyframe == keyframe {
+            if entry.keyframe == keyframe && entry.map_from_camera != *map_from_camera {
                 entry.map_from_camera = *map_from_camera;
                 found = true;
             }
