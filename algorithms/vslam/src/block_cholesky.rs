@@ -59,6 +59,10 @@ impl<const N: usize> BlockEnvelope<N> {
         &self.blocks[self.rows[row].start + column]
     }
 
+    fn left_of_diagonal(&self, row: usize) -> impl Iterator<Item = (usize, &SMatrix<f64, N, N>)> {
+        (self.rows[row].first_column..row).map(move |column| (column, self.block(row, column)))
+    }
+
     /// Replaces the matrix by its Cholesky factor.
     pub(crate) fn factorise(&mut self) -> Result<(), NotPositiveDefinite> {
         for row in 0..self.rows.len() {
@@ -88,8 +92,8 @@ impl<const N: usize> BlockEnvelope<N> {
     pub(crate) fn solve(&self, unknowns: &mut [SVector<f64, N>]) {
         for row in 0..self.rows.len() {
             let mut value = unknowns[row];
-            for column in self.rows[row].first_column..row {
-                value -= self.block(row, column) * unknowns[column];
+            for (column, block) in self.left_of_diagonal(row) {
+                value -= block * unknowns[column];
             }
             self.block(row, row).solve_lower_triangular_mut(&mut value);
             unknowns[row] = value;
@@ -99,8 +103,8 @@ impl<const N: usize> BlockEnvelope<N> {
             self.block(row, row)
                 .tr_solve_lower_triangular_mut(&mut value);
             unknowns[row] = value;
-            for column in self.rows[row].first_column..row {
-                unknowns[column] -= self.block(row, column).tr_mul(&value);
+            for (column, block) in self.left_of_diagonal(row) {
+                unknowns[column] -= block.tr_mul(&value);
             }
         }
     }

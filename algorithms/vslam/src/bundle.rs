@@ -40,6 +40,13 @@ pub struct BundleObservation {
     pub sigma: f64,
 }
 
+impl BundleObservation {
+    fn is_usable(&self) -> bool {
+        let sigma_valid = self.sigma > 0.0 && self.sigma.is_finite();
+        sigma_valid && self.position.iter().all(|coordinate| coordinate.is_finite())
+    }
+}
+
 /// What is to be fitted; [`adjust`] overwrites the poses and points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BundleProblem {

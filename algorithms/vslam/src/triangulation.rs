@@ -211,3 +211,6 @@ pub(crate) fn d_position_d_point(
         (camera_from_map_rotation.row(axis) - depth_row * position[axis]) * inverse_depth
     })
 }
+
+#[cfg(test)]
+mod tests;

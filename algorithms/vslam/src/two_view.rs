@@ -12,6 +12,7 @@ mod polynomial;
 mod ransac;
 mod reconstruct;
 mod refine;
+mod rotation;
 
 #[cfg(test)]
 mod tests;
@@ -99,7 +100,8 @@ pub enum TwoViewRefusal {
         /// How many are needed.
         required: usize,
     },
-    /// A rotation alone explains the correspondences.
+    /// A rotation alone explains the correspondences, or so nearly that the translation would be
+    /// made of noise.
     PureRotation,
     /// Two relative poses explain the correspondences about equally well.
     Ambiguous {

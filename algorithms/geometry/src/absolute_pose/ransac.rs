@@ -111,7 +111,10 @@ fn conclude<World>(
 /// How many samples make one without outliers likely enough.
 fn iterations_needed(inlier_share: f64, confidence: f64) -> usize {
     let all_inliers = inlier_share.powi(3);
-    let needed = (1.0 - confidence).ln() / (1.0 - all_inliers).ln();
+    if all_inliers <= 0.0 {
+        return usize::MAX;
+    }
+    let needed = (1.0 - confidence).ln() / (-all_inliers).ln_1p();
     // NaN and infinity saturate to zero and to the largest number.
     needed.ceil().max(1.0) as usize
 }

@@ -150,8 +150,9 @@ fn classify(
     let mut inlier_count = 0;
     report.inliers.resize(problem.observations.len(), false);
     for sorted in &mut workspace.sorted {
-        let squared = residual_squared(&workspace.current, &problem.observations[sorted.idx])
-            .filter(|squared| *squared <= settings.chi_squared_max);
+        let observation = &problem.observations[sorted.idx];
+        let squared = residual_squared(&workspace.current, observation)
+            .filter(|squared| *squared <= settings.chi_squared_max && observation.is_usable());
         report.inliers[sorted.idx] = squared.is_some();
         report.inlier_count += usize::from(squared.is_some());
         // Unknowns are counted against what determines them.
@@ -168,11 +169,26 @@ fn classify(
         .filter(|range| workspace.sorted[range[0]..range[1]].iter().any(|o| o.used))
         .count();
     let unknown_count = 6 * workspace.pose_blocks.len() + 3 * point_count;
-    // Cutting the χ² distribution at `c` leaves the mean 2 − c e^{−c/2} / (1 − e^{−c/2}).
-    let tail = (-0.5 * settings.chi_squared_max).exp();
-    let mean = 2.0 - settings.chi_squared_max * tail / (1.0 - tail);
-    let freedom = 2.0 * inlier_count as f64 - unknown_count as f64;
-    report.variance_factor = (freedom > 0.0).then(|| squared_sum / (0.5 * mean * freedom));
+    let expected = expected_squared_sum(inlier_count, unknown_count, settings.chi_squared_max);
+    report.variance_factor = expected.map(|expected| squared_sum / expected);
+}
+
+/// The mean of the inliers' sum of squared residuals, if there are more of them than unknowns.
+///
+/// The fit leaves each residual the share `v = 1 − unknowns / residuals` of its variance; cutting
+/// its χ² distribution at `c` then leaves the mean `2 v − c e / (1 − e)` with `e = exp(−c / 2v)`.
+fn expected_squared_sum(
+    inlier_count: usize,
+    unknown_count: usize,
+    chi_squared_max: f64,
+) -> Option<f64> {
+    let share = 1.0 - unknown_count as f64 / (2.0 * inlier_count as f64);
+    if share.is_nan() || share <= 0.0 {
+        return None;
+    }
+    let tail = (-0.5 * chi_squared_max / share).exp();
+    let mean = 2.0 * share - chi_squared_max * tail / (1.0 - tail);
+    Some(mean * inlier_count as f64)
 }
 
 fn add_covariances(

@@ -107,16 +107,12 @@ impl Workspace {
                 .iter()
                 .enumerate()
                 .map(|(idx, observation)| {
-                    let usable = observation.sigma > 0.0
-                        && observation.sigma.is_finite()
-                        && observation.position.iter().all(|c| c.is_finite())
-                        && problem.points[observation.point_idx]
-                            .iter()
-                            .all(|c| c.is_finite());
+                    let point = &problem.points[observation.point_idx];
+                    let point_valid = point.iter().all(|coordinate| coordinate.is_finite());
                     SortedObservation {
                         idx,
-                                row: rows[observation.pose_idx],
-                        used: usable,
+                        row: rows[observation.pose_idx],
+                        used: point_valid && observation.is_usable(),
                     }
                 }),
         );

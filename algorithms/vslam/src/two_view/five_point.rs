@@ -131,6 +131,8 @@ fn add_cubic_product(sum: &mut Cubic, left: &Quadratic, right: &Linear) {
     }
 }
 
+const AXES: [usize; 3] = [0, 1, 2];
+
 /// The ten cubic constraints on `E = x X + y Y + z Z + W`, with the first ten monomials
 /// eliminated: row `i` reads `CUBIC[i] + Σⱼ reduced[(i, j)] CUBIC[10 + j] = 0`.
 fn reduced_constraints(basis: &[Matrix3<f64>; 4]) -> Option<SMatrix<f64, 10, 10>> {
@@ -138,7 +140,7 @@ fn reduced_constraints(basis: &[Matrix3<f64>; 4]) -> Option<SMatrix<f64, 10, 10>
         |row: usize, column: usize| -> Linear { [0, 1, 2, 3].map(|k| basis[k][(row, column)]) };
     let mut rows = [[0.0; 20]; 10];
     // det E = 0, by the first row's minors.
-    for column in 0..3 {
+    for column in AXES {
         let (a, b) = ((column + 1) % 3, (column + 2) % 3);
         let mut minor = [0.0; 10];
         add_linear_product(&mut minor, &entry(1, a), &entry(2, b), 1.0);
@@ -146,23 +148,24 @@ fn reduced_constraints(basis: &[Matrix3<f64>; 4]) -> Option<SMatrix<f64, 10, 10>
         add_cubic_product(&mut rows[9], &minor, &entry(0, column));
     }
     // E Eᵀ E − ½ trace(E Eᵀ) E = 0.
-    let mut square = [[[0.0; 10]; 3]; 3];
-    let mut half_trace = [0.0; 10];
-    for i in 0..3 {
-        for j in 0..3 {
-            for k in 0..3 {
-                add_linear_product(&mut square[i][j], &entry(i, k), &entry(j, k), 1.0);
+    let mut form = AXES.map(|i| {
+        AXES.map(|j| {
+            let mut product = [0.0; 10];
+            for k in AXES {
+                add_linear_product(&mut product, &entry(i, k), &entry(j, k), 1.0);
             }
-            add_linear_product(&mut half_trace, &entry(i, j), &entry(i, j), 0.5);
-        }
-    }
-    for i in 0..3 {
-        for (entry, trace) in square[i][i].iter_mut().zip(&half_trace) {
+            product
+        })
+    });
+    let half_trace: Quadratic =
+        std::array::from_fn(|k| 0.5 * AXES.iter().map(|i| form[*i][*i][k]).sum::<f64>());
+    for i in AXES {
+        for (entry, trace) in form[i][i].iter_mut().zip(&half_trace) {
             *entry -= trace;
         }
-        for j in 0..3 {
-            for k in 0..3 {
-                add_cubic_product(&mut rows[3 * i + j], &square[i][k], &entry(k, j));
+        for j in AXES {
+            for k in AXES {
+                add_cubic_product(&mut rows[3 * i + j], &form[i][k], &entry(k, j));
             }
         }
     }

@@ -88,36 +88,6 @@ impl Homography {
             .all(|entry| entry.is_finite())
             .then_some(scaled * sign)
     }
-
-    /// The rotation that explains the pairs best if the camera only turned, near this homography.
-    pub(super) fn rotation(&self, pairs: &[Pair], sigma: f64) -> Option<Self> {
-        let mut model = Self::of_rotation(&nearest_rotation(&self.euclidean(pairs)?));
-        for _ in 0..5 {
-            let mut cross = Matrix3::zeros();
-            for pair in pairs {
-                let squared = model.residual_squared(pair) / (sigma * sigma);
-                if squared <= Self::CHI_SQUARED_MAX {
-                    cross += pair.second.normalize() * pair.first.normalize().transpose();
-                }
-            }
-            model = Self::of_rotation(&nearest_rotation(&cross));
-        }
-        Some(model)
-    }
-
-    fn of_rotation(rotation: &Matrix3<f64>) -> Self {
-        Self {
-            second_from_first: *rotation,
-            first_from_second: rotation.transpose(),
-        }
-    }
-}
-
-fn nearest_rotation(matrix: &Matrix3<f64>) -> Matrix3<f64> {
-    let svd = matrix.svd(true, true);
-    let (u, v_transposed) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
-    let sign = (u * v_transposed).determinant().signum();
-    u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_transposed
 }
 
 impl Model for Homography {
@@ -148,11 +118,13 @@ impl Model for Homography {
     /// Least squares of the algebraic error over the inliers, weighted to be nearly geometric.
     fn improve(&self, pairs: &[Pair], sigma: f64) -> Option<Self> {
         let mut model = *self;
-        for _ in 0..2 {
+        // A sample of four extrapolates badly: start wide.
+        for factor in [4.0, 2.0, 1.0, 1.0] {
+            let squared_max = factor * sigma * sigma * Self::CHI_SQUARED_MAX;
             let scale = 1.0 / model.second_from_first.norm();
             let mut normal = SMatrix::<f64, 9, 9>::zeros();
             for pair in pairs {
-                if model.residual_squared(pair) > sigma * sigma * Self::CHI_SQUARED_MAX {
+                if model.residual_squared(pair) > squared_max {
                     continue;
                 }
                 let depth = (model.second_from_first.row(2) * pair.first)[0] * scale;

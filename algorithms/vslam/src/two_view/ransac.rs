@@ -22,6 +22,10 @@ pub(super) trait Model: Copy {
     /// Squared distance of a pair, in four dimensions, to the nearest one that fits.
     fn residual_squared(&self, pair: &Pair) -> f64;
 
+    fn explains(&self, pair: &Pair, sigma: f64) -> bool {
+        self.residual_squared(pair) <= Self::CHI_SQUARED_MAX * sigma * sigma
+    }
+
     /// A better fit to the pairs that this one explains.
     fn improve(&self, pairs: &[Pair], sigma: f64) -> Option<Self>;
 }
@@ -64,12 +68,7 @@ impl<M: Model> Fit<M> {
 
 /// The geometric robust information criterion (Torr 1998): what the residuals, the positions of
 /// the pairs on the model, and the model itself take to be written down. The least wins.
-pub(super) fn information_criterion<M: Model>(
-    model: &M,
-    parameter_count: f64,
-    pairs: &[Pair],
-    sigma: f64,
-) -> f64 {
+pub(super) fn information_criterion<M: Model>(model: &M, pairs: &[Pair], sigma: f64) -> f64 {
     const DATA_DIMENSION: f64 = 4.0;
     let inverse_variance = 1.0 / (sigma * sigma);
     let residual_max = 2.0 * (DATA_DIMENSION - M::DIMENSION);
@@ -80,7 +79,7 @@ pub(super) fn information_criterion<M: Model>(
     let pair_count = pairs.len() as f64;
     residuals
         + DATA_DIMENSION.ln() * M::DIMENSION * pair_count
-        + (DATA_DIMENSION * pair_count).ln() * parameter_count
+        + (DATA_DIMENSION * pair_count).ln() * M::PARAMETER_COUNT
 }
 
 /// Draws minimal samples until a better model is unlikely, and improves each new best on the
@@ -115,14 +114,24 @@ pub(super) fn ransac<M: Model>(
                 .and_then(|model| Fit::score(model, pairs, settings.sigma, fit.cost));
             let fit = improved.unwrap_or(fit);
             let share = fit.inlier_count as f64 / pairs.len() as f64;
-            let all_inliers = share.powi(M::SAMPLE_SIZE as i32);
-            let count = ((1.0 - settings.confidence).ln() / (1.0 - all_inliers).ln()).ceil();
-            // NaN and infinity saturate to zero and to the largest number.
-            needed = settings.iteration_count_max.min(count.max(1.0) as usize);
+            needed = samples_needed(share, M::SAMPLE_SIZE, settings);
             best = Some(fit);
         }
     }
     best
+}
+
+/// How many samples make one without outliers likely enough.
+fn samples_needed(inlier_share: f64, sample_size: usize, settings: &TwoViewSettings) -> usize {
+    let all_inliers = inlier_share.powi(sample_size as i32);
+    if all_inliers <= 0.0 {
+        return settings.iteration_count_max;
+    }
+    let needed = (1.0 - settings.confidence).ln() / (-all_inliers).ln_1p();
+    // NaN and infinity saturate to zero and to the largest number.
+    settings
+        .iteration_count_max
+        .min(needed.ceil().max(1.0) as usize)
 }
 
 const SAMPLE_SIZE_MAX: usize = 5;

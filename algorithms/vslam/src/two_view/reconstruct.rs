@@ -9,6 +9,7 @@ use super::homography::Homography;
 use super::pair::{CHI_SQUARED_1_P95, CHI_SQUARED_2_P95, Pair};
 use super::ransac::{Fit, Model, information_criterion, ransac};
 use super::refine::{RefineRound, refine_relative_pose};
+use super::rotation::Turn;
 use super::{Correspondence, TwoView, TwoViewModel, TwoViewRefusal, TwoViewSettings};
 use crate::triangulation::{Sighting, TriangulationSettings, triangulate};
 
@@ -50,6 +51,7 @@ pub fn reconstruct(
 struct Fits {
     essential: Option<Fit<Essential>>,
     homography: Option<Fit<Homography>>,
+    turn: Option<Fit<Turn>>,
 }
 
 impl Fits {
@@ -57,6 +59,7 @@ impl Fits {
         Self {
             essential: ransac(pairs, settings, rng),
             homography: ransac(pairs, settings, rng),
+            turn: ransac(pairs, settings, rng),
         }
     }
 
@@ -75,28 +78,40 @@ impl Fits {
                 required: settings.point_count_min,
             });
         }
-        let criterion_of_homography = |model: &Homography, parameter_count| {
-            information_criterion(model, parameter_count, pairs, sigma)
-        };
-        let essential = self.essential.map_or(f64::INFINITY, |fit| {
-            information_criterion(&fit.model, Essential::PARAMETER_COUNT, pairs, sigma)
-        });
-        let homography = self.homography.map_or(f64::INFINITY, |fit| {
-            criterion_of_homography(&fit.model, Homography::PARAMETER_COUNT)
-        });
-        let rotation = self
-            .homography
-            .and_then(|fit| fit.model.rotation(pairs, sigma))
-            .map_or(f64::INFINITY, |model| {
-                criterion_of_homography(&model, ROTATION_PARAMETER_COUNT)
-            });
-        if rotation <= essential.min(homography) {
+        let explained = self.explained(pairs, sigma);
+        let essential = criterion(&self.essential, &explained, sigma);
+        let homography = criterion(&self.homography, &explained, sigma);
+        let turn = criterion(&self.turn, &explained, sigma);
+        if turn <= essential.min(homography) || self.turn_nearly_explains(&explained, sigma) {
             return Err(TwoViewRefusal::PureRotation);
         }
         Ok(if homography < essential {
             TwoViewModel::Homography
         } else {
             TwoViewModel::Essential
+        })
+    }
+
+    /// The pairs that either model explains: on outliers the models cannot be compared.
+    fn explained(&self, pairs: &[Pair], sigma: f64) -> Vec<Pair> {
+        let explained = |pair: &&Pair| {
+            self.essential
+                .is_some_and(|fit| fit.model.explains(pair, sigma))
+                || self
+                    .homography
+                    .is_some_and(|fit| fit.model.explains(pair, sigma))
+        };
+        pairs.iter().filter(explained).copied().collect()
+    }
+
+    /// Whether the rotation misses most pairs by no more than noise may.
+    fn turn_nearly_explains(&self, explained: &[Pair], sigma: f64) -> bool {
+        self.turn.is_some_and(|fit| {
+            let residuals: Vec<f64> = explained
+                .iter()
+                .map(|pair| fit.model.residual_squared(pair).sqrt())
+                .collect();
+            median(&residuals) < TURN_RESIDUAL_MIN * sigma
         })
     }
 
@@ -113,7 +128,15 @@ impl Fits {
     }
 }
 
-const ROTATION_PARAMETER_COUNT: f64 = 3.0;
+/// The median residual of a pure rotation is 1.2 sigmas. Below two, directions of translation
+/// came out wrong by 20° and more.
+const TURN_RESIDUAL_MIN: f64 = 2.0;
+
+fn criterion<M: Model>(fit: &Option<Fit<M>>, explained: &[Pair], sigma: f64) -> f64 {
+    fit.as_ref().map_or(f64::INFINITY, |fit| {
+        information_criterion(&fit.model, explained, sigma)
+    })
+}
 
 /// A pose, and the pairs that it explains with a point in front of both cameras.
 struct Candidate {
