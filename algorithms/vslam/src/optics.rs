@@ -31,7 +31,7 @@ impl Optics {
         let size_factor = camera.width().max(camera.height()) as f64 / REFERENCE_WIDTH_PX;
         Self {
             focal_px,
-            window: size_factor.max(0.5) / focal_px,
+            window: size_factor.max(1.0) / focal_px,
             plane_min,
             plane_max,
             keypoint_sigma_px,

@@ -21,8 +21,9 @@ const MATCHES_MIN: usize = 60;
 const REFERENCE_AGE_MAX_S: f64 = 4.0;
 /// A map starts with at least this many points.
 const POINTS_MIN: usize = 50;
-/// Median angle between the two rays of a point: 1.2°.
-const PARALLAX_RAD_MIN: f64 = 0.05;
+/// Median angle between the two rays of a point: 2°, and what the noise needs.
+const PARALLAX_RAD_MIN: f64 = 0.035;
+const PARALLAX_SIGMAS_MIN: f64 = 10.0;
 /// Window around where a keypoint was seen last, pixels at a width of 640.
 const WINDOW_PX: f64 = 80.0;
 const GATE: Gate = Gate {
@@ -140,11 +141,12 @@ fn two_view(
         .map(|&(_, second)| frame.observations[second].sigma)
         .collect();
     sigmas.sort_by(f64::total_cmp);
+    let sigma = sigmas[sigmas.len() / 2];
     let settings = TwoViewSettings {
-        sigma: sigmas[sigmas.len() / 2],
+        sigma,
         point_count_min: POINTS_MIN,
         match_count_min: MATCHES_MIN,
-        parallax_rad_min: PARALLAX_RAD_MIN,
+        parallax_rad_min: PARALLAX_RAD_MIN.max(PARALLAX_SIGMAS_MIN * sigma),
         ..TwoViewSettings::default()
     };
     reconstruct(&correspondences, &settings, rng).map_err(|refusal| match refusal {

@@ -30,7 +30,7 @@ pub(crate) fn triangulate_new(
     let Some(depths) = DepthRange::of(map, id) else {
         return new_points;
     };
-    for &neighbour in neighbours {
+    for neighbour in widest_first(map, id, neighbours) {
         let (Some(first), Some(second)) = (map.keyframe(id), map.keyframe(neighbour)) else {
             continue;
         };
@@ -46,6 +46,17 @@ pub(crate) fn triangulate_new(
         );
     }
     new_points
+}
+
+/// The neighbours by their distance: a point's first pair of views should have much parallax.
+fn widest_first(map: &VslamMap, id: KeyframeId, neighbours: &[KeyframeId]) -> Vec<KeyframeId> {
+    let centre = |id| map.keyframe(id).map(Keyframe::centre_in_map);
+    let mut ordered: Vec<(f64, KeyframeId)> = neighbours
+        .iter()
+        .filter_map(|&one| Some(((centre(one)? - centre(id)?).norm(), one)))
+        .collect();
+    ordered.sort_by(|a, b| b.0.total_cmp(&a.0));
+    ordered.into_iter().map(|(_, one)| one).collect()
 }
 
 /// How far away a keyframe's points are.
@@ -218,8 +229,9 @@ fn triangulate_pair(
         position: observation.position,
         sigma: observation.sigma,
     };
+    let sigma = one.sigma.hypot(other.sigma);
     let settings = TriangulationSettings {
-        parallax_rad_min: PARALLAX_RAD_MIN,
+        parallax_rad_min: PARALLAX_RAD_MIN.max(PARALLAX_SIGMAS_MIN * sigma),
         ..TriangulationSettings::default()
     };
     let sightings = [sighting(first, one), sighting(second, other)];
@@ -239,3 +251,6 @@ fn triangulate_pair(
 
 /// Rays must meet at this angle at least: 1°.
 const PARALLAX_RAD_MIN: f64 = 0.0175;
+/// And at this many standard deviations of the angle. If noise decided which points pass, all that
+/// do would be too near, and with each keyframe the map would shrink.
+const PARALLAX_SIGMAS_MIN: f64 = 5.0;

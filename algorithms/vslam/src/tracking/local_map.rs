@@ -102,7 +102,7 @@ fn expect<'a>(optics: &Optics, viewpoint: &Viewpoint, point: &'a MapPoint) -> Op
     if !point.in_distance_range(distance) || viewing_cosine < VIEWING_COSINE_MIN {
         return None;
     }
-    let window_px = if viewing_cosine > 0.998 { 2.5 } else { 4.0 };
+    let window_px = if viewing_cosine > 0.998 { 4.0 } else { 6.0 };
     let level = point.predicted_level(distance);
     Some(Wanted {
         position,
