@@ -5,6 +5,8 @@ pub mod georeference;
 mod input;
 mod machine;
 mod settings;
+#[cfg(test)]
+mod simulation;
 
 pub use fix::{FixCounts, FixPosition, Heading, PositionFix};
 pub use georeference::{Georeference, Georeferencer, NotObservable};

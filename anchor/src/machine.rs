@@ -3,6 +3,8 @@
 mod cutting;
 mod placing;
 
+use std::time::Duration;
+
 use geodesy::Datum;
 use geometry::{Enu, Map, Matrix7, Similarity, Timestamp};
 use protocol::{Chunk, Epoch, Manifest, MapId, Placement, PlacementPage, VehicleState};
@@ -40,6 +42,10 @@ pub enum Event {
 }
 
 /// What the anchor wants done.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there are a few effects a second"
+)]
 #[derive(Clone, Debug)]
 pub enum Effect {
     /// Answer with [`Event::KeyframeSettled`], or not at all if the keyframe was culled.
@@ -83,6 +89,7 @@ pub struct Anchor {
     reason: String,
     last_fix_at: Option<Timestamp>,
     next_solve_at: Option<Timestamp>,
+    next_placement_at: Option<Timestamp>,
     counts: Counts,
 }
 
@@ -102,6 +109,7 @@ impl Anchor {
             reason: "no keyframe yet".to_owned(),
             last_fix_at: None,
             next_solve_at: None,
+            next_placement_at: None,
             counts: Counts::default(),
             datum: settings.datum.clone(),
             settings,
@@ -130,6 +138,9 @@ impl Anchor {
         let due = self.cutter.due(now, &self.settings.cut);
         effects.extend(due.into_iter().map(Effect::RequestKeyframe));
         if self.next_solve_at.is_none_or(|next| now >= next) {
+            self.solve(now, &mut effects);
+        }
+        if self.next_placement_at.is_none_or(|next| now >= next) {
             self.place(now, &mut effects);
         }
         effects
@@ -214,6 +225,7 @@ impl Anchor {
         self.cutter = Cutter::default();
         self.placer = Placer::default();
         self.next_solve_at = None;
+        self.next_placement_at = None;
         self.counts = counts;
     }
 
@@ -237,8 +249,8 @@ impl Anchor {
         (VehicleState::Global, "position fixes".to_owned())
     }
 
-    fn place(&mut self, now: Timestamp, effects: &mut Vec<Effect>) {
-        let interval = std::time::Duration::from_secs_f64(self.settings.placement_interval_s);
+    fn solve(&mut self, now: Timestamp, effects: &mut Vec<Effect>) {
+        let interval = Duration::from_secs_f64(self.settings.solve_interval_s);
         self.next_solve_at = Some(now.after(interval));
         let attempt = match self.georeferencer.solve() {
             Ok(georeference) => {
@@ -253,10 +265,13 @@ impl Anchor {
             self.reason = reason.clone();
             effects.push(Effect::StateChanged { state, reason });
         }
-        let solved = self
-            .georeference
-            .as_ref()
-            .filter(|_| state == VehicleState::Global);
+    }
+
+    fn place(&mut self, now: Timestamp, effects: &mut Vec<Effect>) {
+        let interval = Duration::from_secs_f64(self.settings.placement_interval_s);
+        self.next_placement_at = Some(now.after(interval));
+        let global = self.state == VehicleState::Global;
+        let solved = self.georeference.as_ref().filter(|_| global);
         effects.extend(
             self.placer
                 .publish(solved, &self.map, self.datum.as_ref(), &self.settings),

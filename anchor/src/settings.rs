@@ -16,6 +16,8 @@ pub struct AnchorSettings {
     pub georeference: GeoreferenceSettings,
     /// Without an accepted fix for longer, the anchor's position is stale [s]; 5 to 60.
     pub stale_after_s: f64,
+    /// The georeference is renewed this often [s]: what the anchor's own pose rests on.
+    pub solve_interval_s: f64,
     /// Placements are published at most this often [s].
     pub placement_interval_s: f64,
     /// A chunk's or map's place is published again when it moved by more than this many of its
@@ -33,6 +35,7 @@ impl AnchorSettings {
             cut: CutSettings::default(),
             georeference: GeoreferenceSettings::default(),
             stale_after_s: 10.0,
+            solve_interval_s: 0.25,
             placement_interval_s: 1.0,
             republish_sigma: 0.5,
         }
@@ -120,7 +123,7 @@ pub struct DriftModel {
     pub rotation_per_rad: f64,
     /// Of a step's length.
     pub translation_share: f64,
-    /// Of ln s, per root of a metre travelled: 0.006 is 2.7 % over 20 m.
+    /// Of ln s, per root of a metre travelled: 0.008 is 3.6 % over 20 m.
     pub log_scale_per_sqrt_m: f64,
     /// Of ln s, per radian turned.
     pub log_scale_per_rad: f64,
@@ -129,10 +132,10 @@ pub struct DriftModel {
 impl Default for DriftModel {
     fn default() -> Self {
         Self {
-            rotation_rad_per_sqrt_m: 0.004,
+            rotation_rad_per_sqrt_m: 0.006,
             rotation_per_rad: 0.01,
             translation_share: 0.01,
-            log_scale_per_sqrt_m: 0.006,
+            log_scale_per_sqrt_m: 0.008,
             log_scale_per_rad: 0.01,
         }
     }

@@ -58,7 +58,7 @@ pub(crate) fn similarity_from_wire<T, S>(
 pub(crate) fn rotation_from_wire([x, y, z, w]: [f64; 4]) -> Result<UnitQuaternion<f64>, String> {
     let quaternion = Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();
-    if !((norm - 1.0).abs() < 1e-3) {
+    if norm.is_nan() || (norm - 1.0).abs() > 1e-3 {
         return Err(format!("a quaternion of length {norm}, expected 1"));
     }
     // An exact unit keeps its bits, so that a message survives the round trip unchanged.

@@ -14,8 +14,8 @@ fn chunk() -> Chunk {
     let header = ChunkHeader {
         id: ChunkId {
             map: MapId {
-                anchor: VehicleId::new("ugv1").unwrap(),
-                epoch: "1-9f3c21ab".parse().unwrap(),
+                anchor: VehicleId::new("ugv1").expect("it is a legal name"),
+                epoch: "1-9f3c21ab".parse().expect("it is a legal epoch"),
             },
             number: ChunkNumber(0),
         },
@@ -41,7 +41,7 @@ fn chunk() -> Chunk {
             }
         })
         .collect();
-    Chunk::new(header, &points).unwrap()
+    Chunk::new(header, &points).expect("all points are in front of the camera")
 }
 
 /// The interpreter named by `STARLING_PYTHON`, else `python3`; `None` without numpy and cbor2.
