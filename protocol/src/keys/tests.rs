@@ -49,7 +49,10 @@ proptest! {
 
     #[test]
     fn an_accepted_text_is_the_only_one_for_its_key(
-        text in "(anchor|vehicle)/[a-z0-9+]{0,3}/(map|placement|have)(/[0-9+-]{1,3}-[0-9a-fA-F]{7,9}){0,2}(/[0-9]{0,2}){0,2}",
+        text in concat!(
+            "(anchor|vehicle)/[a-z0-9+]{0,3}/(map|placement|have)",
+            "(/[0-9+-]{1,3}-[0-9a-fA-F]{7,9}){0,2}(/[0-9]{0,2}){0,2}",
+        ),
     ) {
         if let Ok(key) = text.parse::<Key>() {
             prop_assert_eq!(key.to_string(), text);

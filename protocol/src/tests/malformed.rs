@@ -131,7 +131,7 @@ fn numbers_that_are_not_finite_are_refused() {
                 let mut bytes = sample.bytes.clone();
                 if offset + 1 + size_bytes <= bytes.len() {
                     bytes[offset + 1..offset + 1 + size_bytes].copy_from_slice(bits);
-                    // Inside of an array of bytes these are no floats; there anything goes but a panic.
+                    // Inside of an array of bytes these are no floats: anything but a panic.
                     let outcome = (sample.decode)(&bytes);
                     let is_field = sample.kind != "chunk" && sample.kind != "have";
                     assert!(!is_field || outcome.is_err(), "{} at {offset}", sample.kind);
