@@ -4,11 +4,10 @@
 //! The same code flies, replays a recording, and runs in simulated time.
 
 mod anchor_role;
-mod beacon;
+mod exchange;
 mod frame;
 mod peer_role;
 mod receive;
-mod reconcile;
 mod shelf;
 mod status;
 
@@ -17,17 +16,17 @@ use std::sync::Arc;
 use anchor::{AnchorSettings, PositionFix};
 use camera::{Calibration, Image};
 use geodesy::Datum;
-use geometry::{Camera, Enu, Map, Similarity, Timestamp, Transform};
-use nalgebra::{Matrix3, Vector3};
+use geometry::{Body, Camera, Enu, Map, Similarity, Timestamp, Transform};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 use protocol::keys::Key;
+use protocol::sync::SyncEvent;
 use protocol::{ChunkCamera, ChunkId, Manifest, Placement, PlacementPage, VehicleId, VehicleState};
 use vslam::{Vslam, VslamSettings};
 
 use crate::link::{Class, RequestId};
-use beacon::BeaconTimer;
 use anchor_role::{AnchorRole, Outlet};
+use exchange::Exchange;
 use peer_role::PeerRole;
-use reconcile::Reconciler;
 use shelf::Shelf;
 
 pub use status::Status;
@@ -100,8 +99,11 @@ pub struct FramePose {
 #[derive(Clone, Debug)]
 pub struct GlobalFramePose {
     pub enu_from_camera: Transform<Enu, Camera>,
-    /// Of the position, in ENU [m²].
+    /// Of the camera's position, in ENU [m²].
     pub position_covariance: Matrix3<f64>,
+    pub enu_from_body: Transform<Enu, Body>,
+    /// Of `enu_from_body`, `[ω; ν]`, right perturbation.
+    pub body_covariance: Matrix6<f64>,
 }
 
 /// What may differ between vehicles.
@@ -146,8 +148,7 @@ pub struct Node {
     slam: Vslam,
     role: Role,
     shelf: Shelf,
-    reconciler: Reconciler,
-    beacon: BeaconTimer,
+    exchange: Exchange,
     counters: NodeCounters,
     status: Status,
     was_global: bool,
@@ -178,7 +179,7 @@ impl Node {
     ) -> Self {
         let camera = &calibration.camera;
         let chunk_camera = ChunkCamera {
-            focal_length_px: camera.intrinsics().fx as f32,
+            focal_length_px: camera.focal_length_px() as f32,
             width_px: u16::try_from(camera.width()).unwrap_or(u16::MAX),
             height_px: u16::try_from(camera.height()).unwrap_or(u16::MAX),
         };
@@ -198,8 +199,7 @@ impl Node {
         };
         Self {
             slam: Vslam::new(calibration.camera.clone(), slam_settings),
-            beacon: BeaconTimer::new(&settings.id),
-            reconciler: Reconciler::new(settings.id.clone()),
+            exchange: Exchange::new(settings.id.clone()),
             settings,
             calibration,
             role,
@@ -226,30 +226,36 @@ impl Node {
                 key,
                 payload,
             } => self.take_reply(request, &key, &payload, now, &mut effects),
-            Event::RequestEnded { request } => self.reconciler.request_ended(request, now),
+            Event::RequestEnded { request } => {
+                self.exchange.end_request(request, now, &mut effects);
+            }
             Event::Fix(fix) => {
                 if let Role::Anchor(role) = &mut self.role {
                     let mut outlet = Outlet {
                         shelf: &mut self.shelf,
+                        exchange: &mut self.exchange,
                         counters: &mut self.counters,
                         effects: &mut effects,
+                        now,
                     };
-                    role.take_fix(fix, self.slam.map(), now, &mut outlet);
+                    role.take_fix(fix, self.slam.map(), &mut outlet);
                 }
             }
-            Event::NeighbourCame => self.beacon.hasten(),
+            Event::NeighbourCame => self.exchange.tell(SyncEvent::LinkUp, now, &mut effects),
             Event::NeighbourLeft => {}
-            Event::Tick => {}
+            Event::Tick => self.exchange.tell(SyncEvent::Tick, now, &mut effects),
         }
-        self.keep_in_touch(now, &mut effects);
         effects
     }
 
     /// A beacon at once, so that somebody new hears what is held here.
     pub fn greet(&mut self, now: Timestamp) -> Vec<Effect> {
         let mut effects = Vec::new();
-        self.beacon.hasten();
-        self.keep_in_touch(now, &mut effects);
+        self.exchange.tell(SyncEvent::Tick, now, &mut effects);
+        let spoken = |effect: &Effect| matches!(effect, Effect::Publish { .. });
+        if !effects.iter().any(spoken) {
+            self.exchange.repeat_beacon(&mut effects);
+        }
         effects
     }
 
@@ -274,7 +280,7 @@ impl Node {
 
     /// Requests that were sent and have not ended.
     pub fn open_request_count(&self) -> usize {
-        self.reconciler.open_request_count()
+        self.exchange.open_request_count()
     }
 
     /// Where the own map stands, as known now.
@@ -290,21 +296,6 @@ impl Node {
         match &self.role {
             Role::Anchor(_) => Vec::new(),
             Role::Peer(role) => role.landmarks_in_enu(),
-        }
-    }
-
-    /// Sends the beacon when it is due, and asks for what is missing.
-    fn keep_in_touch(&mut self, now: Timestamp, effects: &mut Vec<Effect>) {
-        if let Some(payload) = self.beacon.next(&self.settings.id, &self.shelf, now) {
-            effects.push(Effect::Keep(Kept::Beacon(Arc::clone(&payload))));
-            effects.push(Effect::Publish {
-                class: Class::Notice,
-                key: Key::Have(self.settings.id.clone()),
-                payload,
-            });
-        }
-        for (request, selector) in self.reconciler.ask(&self.shelf, now) {
-            effects.push(Effect::Request { request, selector });
         }
     }
 }

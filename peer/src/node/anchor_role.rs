@@ -7,12 +7,13 @@ use anchor::{
     Anchor, AnchorSettings, Effect as AnchorEffect, Event as AnchorEvent, FrameInput,
     KeyframeInput, KeyframePose, PositionFix, keyframe_poses,
 };
-use geodesy::Datum;
 use geometry::{Enu, Map, Similarity, Timestamp};
 use protocol::keys::Key;
-use protocol::{Epoch, VehicleState, encode};
+use protocol::sync::SyncEvent;
+use protocol::{Epoch, MapId, VehicleState, encode};
 use vslam::{FrameReport, KeyframeId, VslamMap};
 
+use super::exchange::Exchange;
 use super::frame::{TiedPose, pose_covariance, worst_sigma_m};
 use super::shelf::Shelf;
 use super::status::{KnownTie, Tie};
@@ -31,8 +32,10 @@ pub struct AnchorRole {
 /// Where the effects of the role go.
 pub struct Outlet<'a> {
     pub shelf: &'a mut Shelf,
+    pub exchange: &'a mut Exchange,
     pub counters: &'a mut NodeCounters,
     pub effects: &'a mut Vec<Effect>,
+    pub now: Timestamp,
 }
 
 impl AnchorRole {
@@ -55,10 +58,9 @@ impl AnchorRole {
         &mut self,
         fix: PositionFix,
         map: &VslamMap,
-        now: Timestamp,
         outlet: &mut Outlet<'_>,
     ) {
-        self.drive(VecDeque::from([AnchorEvent::Fix(fix)]), map, now, outlet);
+        self.drive(VecDeque::from([AnchorEvent::Fix(fix)]), map, outlet);
     }
 
     /// Tells the anchor what a frame did to the own map, and carries out what it wants.
@@ -66,7 +68,6 @@ impl AnchorRole {
         &mut self,
         report: &FrameReport,
         map: &VslamMap,
-        now: Timestamp,
         outlet: &mut Outlet<'_>,
     ) {
         let mut events = VecDeque::new();
@@ -94,7 +95,7 @@ impl AnchorRole {
         }
         events.extend(report.settled.iter().filter_map(|id| settled(map, *id)));
         events.push_back(AnchorEvent::Tick);
-        self.drive(events, map, now, outlet);
+        self.drive(events, map, outlet);
     }
 
     /// What the own pose is and rests on.
@@ -140,23 +141,14 @@ impl AnchorRole {
         Some(self.anchor.georeference()?.enu_from_map)
     }
 
-    pub fn datum(&self) -> Option<&Datum> {
-        self.anchor.datum()
-    }
-
-    pub fn fix_counts(&self) -> anchor::FixCounts {
-        self.anchor.counts().fixes
-    }
-
     fn drive(
         &mut self,
         mut events: VecDeque<AnchorEvent>,
         map: &VslamMap,
-        now: Timestamp,
         outlet: &mut Outlet<'_>,
     ) {
         while let Some(event) = events.pop_front() {
-            for effect in self.anchor.handle(event, now) {
+            for effect in self.anchor.handle(event, outlet.now) {
                 match effect {
                     AnchorEffect::RequestKeyframe(id) => events.extend(settled(map, id)),
                     other => outlet.publish(other),
@@ -175,19 +167,25 @@ impl Outlet<'_> {
                 self.counters.chunks_published += 1;
                 let id = chunk.id().clone();
                 let kept = Kept::Chunk(id.clone(), Arc::clone(&payload));
-                self.send(kept, Class::Bulk, Key::Chunk(id), payload);
+                self.send(kept, Class::Bulk, Key::Chunk(id.clone()), payload);
+                self.exchange
+                    .tell(SyncEvent::Stored(id), self.now, self.effects);
             }
             AnchorEffect::PublishPlacement(placement) => {
                 self.shelf.take_placement(placement.clone());
-                let key = Key::Placement(placement.map.clone());
+                let map = placement.map.clone();
                 let payload = Arc::from(encode(&placement));
+                let key = Key::Placement(map.clone());
                 self.send(Kept::Placement(placement), Class::Notice, key, payload);
+                self.tell_placement(map);
             }
             AnchorEffect::PublishPage(page) => {
                 self.shelf.take_page(page.clone());
-                let key = Key::PlacementPage(page.map().clone(), page.page());
+                let map = page.map().clone();
                 let payload = Arc::from(encode(&page));
+                let key = Key::PlacementPage(map.clone(), page.page());
                 self.send(Kept::Page(page), Class::Notice, key, payload);
+                self.tell_placement(map);
             }
             AnchorEffect::PublishManifest(manifest) => {
                 self.shelf.take_manifest(manifest.clone());
@@ -199,6 +197,13 @@ impl Outlet<'_> {
                 tracing::info!(%state, reason, "anchor");
             }
             AnchorEffect::RequestKeyframe(_) => {}
+        }
+    }
+
+    fn tell_placement(&mut self, map: MapId) {
+        if let Some(held) = self.shelf.map(&map) {
+            let event = held.placement_held(map);
+            self.exchange.tell(event, self.now, self.effects);
         }
     }
 

@@ -7,6 +7,7 @@ use geodesy::Datum;
 use geometry::{Body, Camera, Enu, Map, Matrix7, Similarity, Timestamp, Transform, so3};
 use nalgebra::{Matrix3, Matrix6, SMatrix};
 use protocol::keys::Key;
+use protocol::sync::SyncEvent;
 use protocol::{GlobalPose, Pose, VehicleState, encode};
 use vslam::FrameReport;
 
@@ -34,6 +35,7 @@ impl Node {
         now: Timestamp,
         effects: &mut Vec<Effect>,
     ) {
+        self.exchange.tell(SyncEvent::Tick, now, effects);
         let report = self.slam.process(image, captured_at);
         let tied = match &mut self.role {
             Role::Peer(role) => {
@@ -43,10 +45,12 @@ impl Node {
             Role::Anchor(role) => {
                 let mut outlet = Outlet {
                     shelf: &mut self.shelf,
+                    exchange: &mut self.exchange,
                     counters: &mut self.counters,
                     effects,
+                    now,
                 };
-                role.take_frame(&report, self.slam.map(), now, &mut outlet);
+                role.take_frame(&report, self.slam.map(), &mut outlet);
                 role.tie(&report, now)
             }
         };
@@ -59,15 +63,20 @@ impl Node {
         self.status = Status::after(&report, &tied.tie, &limits, self.was_global);
         let is_global = self.status.state == VehicleState::Global;
         self.was_global |= is_global;
-        let pose = tied.pose.filter(|_| is_global);
-        self.publish_pose(captured_at, pose.as_ref(), tied.datum.as_ref(), effects);
+        let global = tied.pose.filter(|_| is_global).map(|(enu_from_camera, covariance)| {
+            let enu_from_body = enu_from_camera * self.calibration.body_from_camera.inverse();
+            GlobalFramePose {
+                enu_from_camera,
+                position_covariance: position_block(&covariance),
+                body_covariance: in_body_axes(&covariance, &enu_from_body),
+                enu_from_body,
+            }
+        });
+        self.publish_pose(captured_at, global.as_ref().zip(tied.datum.as_ref()), effects);
         effects.push(Effect::Posed(FramePose {
             captured_at,
             state: self.status.state,
-            global: pose.map(|(enu_from_camera, covariance)| GlobalFramePose {
-                enu_from_camera,
-                position_covariance: position_block(&covariance),
-            }),
+            global,
             map_from_camera: report.map_from_camera,
             map_id: report.map_id,
         }));
@@ -76,21 +85,17 @@ impl Node {
     fn publish_pose(
         &mut self,
         captured_at: Timestamp,
-        pose: Option<&(Transform<Enu, Camera>, Matrix6<f64>)>,
-        datum: Option<&Datum>,
+        global: Option<(&GlobalFramePose, &Datum)>,
         effects: &mut Vec<Effect>,
     ) {
         if !self.pose_is_due(captured_at) {
             return;
         }
-        let global = pose.zip(datum).map(|((enu_from_camera, covariance), datum)| {
-            let enu_from_body = *enu_from_camera * self.calibration.body_from_camera.inverse();
-            GlobalPose {
-                datum: datum.clone(),
-                covariance: in_body_axes(covariance, &enu_from_body),
-                geodetic: datum.geodetic(enu_from_body.translation(), &[]).ok(),
-                enu_from_body,
-            }
+        let global = global.map(|(pose, datum)| GlobalPose {
+            datum: datum.clone(),
+            enu_from_body: pose.enu_from_body,
+            covariance: pose.body_covariance,
+            geodetic: datum.geodetic(pose.enu_from_body.translation(), &[]).ok(),
         });
         let message = Pose {
             vehicle: self.settings.id.clone(),

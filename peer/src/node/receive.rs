@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use geometry::Timestamp;
 use protocol::keys::Key;
+use protocol::sync::SyncEvent;
 use protocol::{
     Chunk, ChunkId, Have, Manifest, MapId, Placement, PlacementPage, Pose, decode,
 };
@@ -50,7 +51,7 @@ impl Node {
         now: Timestamp,
         effects: &mut Vec<Effect>,
     ) {
-        if self.reconciler.is_pull(request) {
+        if self.exchange.is_pull(request) {
             self.counters.chunks_pulled += 1;
         }
         self.take_message(key, payload, now, effects);
@@ -64,30 +65,30 @@ impl Node {
         effects: &mut Vec<Effect>,
     ) -> Result<(), Refusal> {
         match key {
-            Key::Chunk(id) | Key::HeldChunk(_, id) => self.take_chunk(&id, payload, effects),
+            Key::Chunk(id) | Key::HeldChunk(_, id) => self.take_chunk(&id, payload, now, effects),
             Key::Manifest(anchor) => {
                 let manifest: Manifest = decode(payload)?;
                 matches(&manifest.map.anchor, &anchor)?;
-                self.take_manifest(manifest, effects);
+                self.take_manifest(manifest, now, effects);
                 Ok(())
             }
             Key::Placement(map) => {
                 let placement: Placement = decode(payload)?;
                 matches(&placement.map, &map)?;
-                self.take_placement(placement, effects);
+                self.take_placement(placement, now, effects);
                 Ok(())
             }
             Key::PlacementPage(map, page) => {
                 let body: PlacementPage = decode(payload)?;
                 matches(body.map(), &map)?;
                 matches(&body.page(), &page)?;
-                self.take_page(body, effects);
+                self.take_page(body, now, effects);
                 Ok(())
             }
             Key::Have(vehicle) => {
                 let have: Have = decode(payload)?;
                 matches(&have.vehicle, &vehicle)?;
-                self.reconciler.hear(have, now);
+                self.exchange.tell(SyncEvent::BeaconHeard(have), now, effects);
                 Ok(())
             }
             Key::Pose(vehicle) => {
@@ -102,6 +103,7 @@ impl Node {
         &mut self,
         id: &ChunkId,
         payload: &Arc<[u8]>,
+        now: Timestamp,
         effects: &mut Vec<Effect>,
     ) -> Result<(), Refusal> {
         let chunk: Chunk = decode(payload)?;
@@ -110,6 +112,8 @@ impl Node {
             Taken::New => {
                 self.counters.chunks_received += 1;
                 effects.push(Effect::Keep(Kept::Chunk(id.clone(), Arc::clone(payload))));
+                self.exchange
+                    .tell(SyncEvent::Stored(id.clone()), now, effects);
                 if let Role::Peer(role) = &mut self.role {
                     let page = self.shelf.map(&id.map);
                     let page = page.and_then(|held| held.pages.get(&id.number.page()));
@@ -123,36 +127,52 @@ impl Node {
         Ok(())
     }
 
-    fn take_manifest(&mut self, manifest: Manifest, effects: &mut Vec<Effect>) {
-        self.reconciler.learn(&manifest, &self.shelf);
+    fn take_manifest(&mut self, manifest: Manifest, now: Timestamp, effects: &mut Vec<Effect>) {
+        let ranges = SyncEvent::RangesHeard {
+            holder: manifest.holder.clone(),
+            map: manifest.map.clone(),
+            held: manifest.held.clone(),
+        };
+        self.exchange.tell(ranges, now, effects);
         if self.shelf.take_manifest(manifest.clone()) == Taken::New {
             effects.push(Effect::Keep(Kept::Manifest(manifest)));
         }
     }
 
-    fn take_placement(&mut self, placement: Placement, effects: &mut Vec<Effect>) {
+    fn take_placement(&mut self, placement: Placement, now: Timestamp, effects: &mut Vec<Effect>) {
         match self.shelf.take_placement(placement.clone()) {
             Taken::New => {
                 if let Role::Peer(role) = &mut self.role {
                     role.take_placement(&placement);
                 }
+                let map = placement.map.clone();
                 effects.push(Effect::Keep(Kept::Placement(placement)));
+                self.tell_placement(map, now, effects);
             }
             Taken::Equivocation => self.count_equivocation(&placement.map, "placement"),
             Taken::Known | Taken::Full => {}
         }
     }
 
-    fn take_page(&mut self, page: PlacementPage, effects: &mut Vec<Effect>) {
+    fn take_page(&mut self, page: PlacementPage, now: Timestamp, effects: &mut Vec<Effect>) {
         match self.shelf.take_page(page.clone()) {
             Taken::New => {
                 if let Role::Peer(role) = &mut self.role {
                     role.take_page(&page);
                 }
+                let map = page.map().clone();
                 effects.push(Effect::Keep(Kept::Page(page)));
+                self.tell_placement(map, now, effects);
             }
             Taken::Equivocation => self.count_equivocation(page.map(), "placement page"),
             Taken::Known | Taken::Full => {}
+        }
+    }
+
+    fn tell_placement(&mut self, map: MapId, now: Timestamp, effects: &mut Vec<Effect>) {
+        if let Some(held) = self.shelf.map(&map) {
+            let event = held.placement_held(map);
+            self.exchange.tell(event, now, effects);
         }
     }
 

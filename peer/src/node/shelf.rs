@@ -1,10 +1,11 @@
 //! What this vehicle holds of every map that it has heard of, its own included.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hasher};
 
+use protocol::sync::SyncEvent;
 use protocol::{
-    Chunk, ChunkId, ChunkNumber, HaveEntry, Manifest, MapId, Placement, PlacementPage, Ranges,
+    Chunk, ChunkId, ChunkNumber, Manifest, MapId, Placement, PlacementPage,
 };
 
 /// More maps are not taken in; whoever is heard first stays.
@@ -16,14 +17,9 @@ pub struct HeldMap {
     pub manifest: Option<Manifest>,
     pub placement: Option<Placement>,
     pub pages: BTreeMap<u32, PlacementPage>,
-    pub chunks: Ranges,
     /// A digest of each chunk's bytes: two bodies under one key are equivocation.
     digests: BTreeMap<ChunkNumber, u64>,
-    /// Digests of `chunks` as they were: who has one of these lacks nothing that is missing here.
-    past_digests: VecDeque<u64>,
 }
-
-const PAST_DIGEST_COUNT_MAX: usize = 256;
 
 /// What became of something that arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,10 +40,6 @@ pub struct Shelf {
 }
 
 impl Shelf {
-    pub fn maps(&self) -> impl Iterator<Item = (&MapId, &HeldMap)> {
-        self.maps.iter()
-    }
-
     pub fn map(&self, id: &MapId) -> Option<&HeldMap> {
         self.maps.get(id)
     }
@@ -66,8 +58,6 @@ impl Shelf {
             };
         }
         held.digests.insert(*number, digest);
-        held.chunks.insert(*number);
-        held.remember_digest();
         Taken::New
     }
 
@@ -116,14 +106,6 @@ impl Shelf {
         }
     }
 
-    /// What a beacon says of each map.
-    pub fn entries(&self) -> Vec<HaveEntry> {
-        self.maps
-            .iter()
-            .map(|(map, held)| held.entry(map.clone()))
-            .collect()
-    }
-
     fn entry(&mut self, map: &MapId) -> Option<&mut HeldMap> {
         if self.maps.len() >= MAP_COUNT_MAX && !self.maps.contains_key(map) {
             return None;
@@ -133,21 +115,14 @@ impl Shelf {
 }
 
 impl HeldMap {
-    pub fn entry(&self, map: MapId) -> HaveEntry {
+    /// What the reconciliation is to know of the placements that are held.
+    pub fn placement_held(&self, map: MapId) -> SyncEvent {
         let (revision, digest) = self.placement_summary();
-        HaveEntry::new(map, &self.chunks, revision, digest)
-    }
-
-    /// Whether exactly the chunks with this digest were held here at some time.
-    pub fn has_had(&self, digest: u64) -> bool {
-        self.past_digests.contains(&digest)
-    }
-
-    fn remember_digest(&mut self) {
-        if self.past_digests.len() == PAST_DIGEST_COUNT_MAX {
-            self.past_digests.pop_front();
+        SyncEvent::PlacementHeld {
+            map,
+            revision,
+            digest,
         }
-        self.past_digests.push_back(self.chunks.digest());
     }
 
     /// The highest revision of a placement or page, and a digest of all of them.

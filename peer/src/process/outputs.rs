@@ -5,12 +5,13 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use geometry::{Enu, Map, Similarity};
+use geometry::{Enu, Map, Similarity, Timestamp};
 use vslam::MapId;
 
 use super::VehicleSummary;
 use crate::files::{PointCloud, StampedPose, format_tum_line, write_cloud, write_tum};
-use crate::node::{FramePose, GlobalFramePose, Node};
+use crate::node::{FramePose, GlobalFramePose, Node, Status};
+use crate::recorder::{Recorder, Stamp};
 
 /// `{id}.tum` and `{id}.cov.csv` grow with each global frame; the rest is written at the end.
 pub struct Outputs {
@@ -18,7 +19,10 @@ pub struct Outputs {
     id: String,
     trajectory: BufWriter<File>,
     covariances: BufWriter<File>,
+    recorder: Recorder,
     own: Vec<(MapId, StampedPose<Map>)>,
+    newest: Timestamp,
+    status: Option<Status>,
 }
 
 impl Outputs {
@@ -30,12 +34,23 @@ impl Outputs {
             id: id.to_owned(),
             trajectory: create(folder, &format!("{id}.tum"))?,
             covariances,
+            recorder: Recorder::create(&folder.join(format!("{id}.mcap")))?,
             own: Vec::new(),
+            newest: Timestamp::default(),
+            status: None,
         })
     }
 
-    /// Writes a frame's pose as it was published.
-    pub fn write(&mut self, pose: &FramePose) -> anyhow::Result<()> {
+    /// Writes a frame's pose as it was published, and the state if it changed.
+    pub fn write(&mut self, pose: &FramePose, status: &Status) -> anyhow::Result<()> {
+        self.newest = pose.captured_at;
+        if self.status.as_ref() != Some(status) {
+            self.status = Some(status.clone());
+            let topic = format!("/{}/state", self.id);
+            let text = (status.state.to_string(), status.reason.as_str());
+            self.recorder.record_state(&topic, pose.captured_at, &text)?;
+            self.recorder.flush()?;
+        }
         if let Some(map_from_camera) = pose.map_from_camera {
             let own = StampedPose {
                 captured_at: pose.captured_at,
@@ -49,7 +64,16 @@ impl Outputs {
         let GlobalFramePose {
             enu_from_camera,
             position_covariance: p,
+            enu_from_body,
+            body_covariance,
         } = global;
+        let stamp = Stamp {
+            frame_id: "map",
+            captured_at: pose.captured_at,
+        };
+        let topic = format!("/{}/pose", self.id);
+        let covariance = Some(body_covariance);
+        self.recorder.record_pose(&topic, stamp, enu_from_body, covariance)?;
         let line = format_tum_line(&StampedPose {
             captured_at: pose.captured_at,
             target_from_camera: *enu_from_camera,
@@ -68,7 +92,7 @@ impl Outputs {
 
     /// Writes the trajectory after all corrections, the map, and the summary.
     pub fn write_final(
-        &mut self,
+        mut self,
         node: &Node,
         enu_from_map: Option<&Similarity<Enu, Map>>,
         summary: &VehicleSummary,
@@ -95,7 +119,13 @@ impl Outputs {
         }
         write_tum(&self.path("final.tum"), corrected)?;
         write_tum(&self.path("own.tum"), self.own_of_longest_map())?;
-        write_cloud(&self.path("map.ply"), &PointCloud::from_points(points))?;
+        let cloud = PointCloud::from_points(points);
+        let stamp = Stamp {
+            frame_id: "map",
+            captured_at: self.newest,
+        };
+        self.recorder.record_cloud(&format!("/{}/map", self.id), stamp, &cloud)?;
+        write_cloud(&self.path("map.ply"), &cloud)?;
         let landmarks = node.landmarks_in_enu();
         if !landmarks.is_empty() {
             let cloud = PointCloud::from_points(landmarks);
@@ -103,7 +133,10 @@ impl Outputs {
         }
         let path = self.path("json");
         let text = serde_json::to_string_pretty(summary)?;
-        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
+        std::fs::write(&path, text)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        self.recorder.finish()?;
+        Ok(())
     }
 
     /// The vehicle's poses as they were published in its own map; poses of different maps share

@@ -149,7 +149,7 @@ impl Vehicle {
                 Effect::Request { request, selector } => self.link.request(request, &selector),
                 Effect::Posed(pose) => {
                     self.tally.count_pose(&pose);
-                    self.outputs.write(&pose)?;
+                    self.outputs.write(&pose, self.node.status())?;
                 }
             }
         }
@@ -160,7 +160,8 @@ impl Vehicle {
     pub fn finish(mut self) -> anyhow::Result<VehicleSummary> {
         let summary = self.summary();
         let enu_from_map = self.node.enu_from_map(self.now);
-        self.outputs.write_final(&self.node, enu_from_map.as_ref(), &summary)?;
+        self.outputs
+            .write_final(&self.node, enu_from_map.as_ref(), &summary)?;
         self.link.close(CLOSE_PATIENCE);
         Ok(summary)
     }
