@@ -46,6 +46,77 @@ pub struct Plot {
     pub layers: Vec<Layer>,
 }
 
+/// A vehicle's own map and path, before and after they were placed on an anchor's map, all in the
+/// global frame: the paper's Fig. 10.
+#[derive(Clone, Debug, Default)]
+pub struct Realignment {
+    pub vehicle: String,
+    pub anchor_cloud: Vec<Vector3<f64>>,
+    pub cloud_before: Vec<Vector3<f64>>,
+    pub path_before: Vec<Vector3<f64>>,
+    pub cloud_after: Vec<Vector3<f64>>,
+    pub path_after: Vec<Vector3<f64>>,
+    pub truth: Vec<Vector3<f64>>,
+}
+
+impl Realignment {
+    /// Anchor red, before blue, after green, truth purple; what is empty is left out.
+    pub fn plot(self, title: impl Into<String>) -> Plot {
+        let vehicle = self.vehicle;
+        let layers = [
+            (
+                "anchor's map".to_owned(),
+                Color::RED,
+                Mark::LargeDots,
+                self.anchor_cloud,
+            ),
+            (
+                format!("{vehicle}'s map, before"),
+                Color::BLUE,
+                Mark::Dots,
+                self.cloud_before,
+            ),
+            (
+                format!("{vehicle}'s map, after"),
+                Color::GREEN,
+                Mark::Dots,
+                self.cloud_after,
+            ),
+            (
+                format!("{vehicle}'s path, before"),
+                Color::BLUE,
+                Mark::Line,
+                self.path_before,
+            ),
+            (
+                format!("{vehicle}'s path, after"),
+                Color::GREEN,
+                Mark::Line,
+                self.path_after,
+            ),
+            (
+                format!("{vehicle}'s path, truth"),
+                Color::PURPLE,
+                Mark::Line,
+                self.truth,
+            ),
+        ];
+        Plot {
+            title: title.into(),
+            layers: layers
+                .into_iter()
+                .filter(|(_, _, _, points)| !points.is_empty())
+                .map(|(name, color, mark, points)| Layer {
+                    name,
+                    color,
+                    mark,
+                    points,
+                })
+                .collect(),
+        }
+    }
+}
+
 impl Plot {
     pub fn to_svg(&self) -> String {
         let mut canvas = SvgCanvas::default();
@@ -53,7 +124,6 @@ impl Plot {
         canvas.finish(size_px)
     }
 
-    /// Panics never; an image of this size always encodes.
     pub fn to_png(&self) -> Vec<u8> {
         // The size follows from the content, so the first pass only measures.
         let size_px = figure::draw(self, &mut SvgCanvas::default());

@@ -56,7 +56,10 @@ pub struct DatasetCamera {
 }
 
 enum Source {
-    Inline { dataset: Dataset, frame_idx: usize },
+    Inline {
+        dataset: Box<Dataset>,
+        frame_idx: usize,
+    },
     Ahead(Receiver<CameraEvent>),
 }
 
@@ -66,7 +69,7 @@ impl DatasetCamera {
         Self {
             calibration: dataset.calibration().clone(),
             source: Source::Inline {
-                dataset,
+                dataset: Box::new(dataset),
                 frame_idx: 0,
             },
         }

@@ -147,7 +147,8 @@ fn pcd_survives_and_reads_text() {
         assert!(pcd::parse(&bytes[..length]).is_err(), "{length}");
     }
     let text = "VERSION .7\nFIELDS x y z intensity rgb\nSIZE 4 4 4 2 4\nTYPE F F F U F\n\
-                COUNT 1 1 1 2 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 nan 7 8 2.34180515e-38\n";
+                COUNT 1 1 1 2 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n\
+                1 2 nan 7 8 2.34180515e-38\n";
     let read = pcd::parse(text.as_bytes()).unwrap();
     assert_eq!(read.points[0].xy(), nalgebra::Vector2::new(1.0, 2.0));
     // The bits of the float are 0x00ff0000.
@@ -175,16 +176,22 @@ fn text_clouds_may_name_their_columns() {
     );
 }
 
-#[test]
-fn clouds_that_cannot_be_read_name_file_and_line() {
+/// Expects the error of reading `text` under a name to end like this, `FILE` being the path.
+fn check_refused(name: &str, text: &str, expected: &str) {
     let folder = tempfile::tempdir().unwrap();
-    let check = |name: &str, text: &str, expected: &str| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).unwrap();
-        let error = read_cloud(&path).unwrap_err().to_string();
-        let line = expected.replace("FILE", &path.display().to_string());
-        assert!(error.ends_with(&line), "got {error:?}, expected {line:?}");
-    };
+    let path = folder.path().join(name);
+    std::fs::write(&path, text).unwrap();
+    let error = read_cloud(&path).unwrap_err().to_string();
+    let expected = expected.replace("FILE", &path.display().to_string());
+    assert!(
+        error.ends_with(&expected),
+        "got {error:?}, expected {expected:?}"
+    );
+}
+
+#[test]
+fn text_clouds_that_cannot_be_read_name_file_and_line() {
+    let check = check_refused;
     check("a.xyz", "1 2 3\n1 2\n", "2 columns, expected 3 at FILE:2");
     check("a.xyz", "1 2 3\n1 2 x\n", "\"x\" is no number at FILE:2");
     check(
@@ -195,72 +202,61 @@ fn clouds_that_cannot_be_read_name_file_and_line() {
     check("a.txt", "1 2\n", "2 columns, expected 3 at FILE:1");
     check("a.xyz", "# nothing\n", "holds no points: FILE");
     check("a.las", "", ".xyz, .csv or .txt: FILE");
-    check("a.ply", "hello", "does not begin with `ply` at FILE:1");
+    let missing = read_cloud(Path::new("/no/such/file.ply")).unwrap_err();
+    assert!(missing.to_string().starts_with("cannot read"), "{missing}");
+}
+
+#[test]
+fn ply_that_cannot_be_read_names_file_and_line() {
+    let check = |text: &str, expected: &str| check_refused("a.ply", text, expected);
+    check("hello", "does not begin with `ply` at FILE:1");
     check(
-        "a.ply",
         "ply\nformat binary_little_endian 1.0\nelement x 99999999999\nend_header\n",
         "element \"x\" has no properties: FILE",
     );
     check(
-        "a.ply",
         "ply\nformat ascii 1.0\nend_header\n",
         "names no element `vertex`: FILE",
     );
     let header = "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\n\
                   property float y\nproperty float z\nend_header\n";
+    let body = |rows: &str| format!("{header}{rows}\n");
+    check(&body("1 2"), "truncated: too few numbers at FILE:8");
+    check(&body("1 2 3 4"), "\"4\" after the last number at FILE:8");
+    check(&body("1 2 x"), "\"x\" is no number at FILE:8");
     check(
-        "a.ply",
-        &format!("{header}1 2\n"),
-        "truncated: too few numbers at FILE:8",
-    );
-    check(
-        "a.ply",
-        &format!("{header}1 2 3 4\n"),
-        "\"4\" after the last number at FILE:8",
-    );
-    check(
-        "a.ply",
-        &format!("{header}1 2 x\n"),
-        "\"x\" is no number at FILE:8",
-    );
-    check(
-        "a.ply",
-        &format!("{header}1 2 3\n"),
+        &body("1 2 3"),
         "truncated before vertex 1 of 99999999999 at FILE:9",
     );
+    let half = header.replace("float x", "half x");
+    check(&half, "unknown type \"half\" at FILE:4");
+    let lists = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
+                 property float z\nproperty list uchar uchar descriptor\nend_header\n\
+                 1 2 3 1 9\n1 2 3 1 9\n";
+    check(lists, "all have 32 or all have 128 bytes: FILE");
+}
+
+#[test]
+fn pcd_that_cannot_be_read_names_file_and_line() {
+    let check = |text: &str, expected: &str| check_refused("a.pcd", text, expected);
+    check("hello", "unknown header line \"hello\" at FILE:1");
     check(
-        "a.ply",
-        &header.replace("float x", "half x"),
-        "unknown type \"half\" at FILE:4",
-    );
-    check("a.pcd", "hello", "unknown header line \"hello\" at FILE:1");
-    check(
-        "a.pcd",
         "FIELDS x y\nSIZE 4\nTYPE F F\nDATA ascii\n",
         "do not agree at FILE:4",
     );
     check(
-        "a.pcd",
         "DATA binary_compressed\n",
         "DATA binary_compressed is not supported at FILE:1",
     );
     let header = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS 2\nDATA ascii\n";
     check(
-        "a.pcd",
         &format!("{header}1 2 3\n4 5\n"),
         "2 numbers, expected 3 at FILE:7",
     );
     check(
-        "a.pcd",
         &format!("{header}1 2 3\n"),
         "truncated before point 1 of 2: FILE",
     );
-    let lists = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n\
-                 property float z\nproperty list uchar uchar descriptor\nend_header\n\
-                 1 2 3 1 9\n1 2 3 1 9\n";
-    check("a.ply", lists, "all have 32 or all have 128 bytes: FILE");
-    let missing = read_cloud(&folder.path().join("none.ply")).unwrap_err();
-    assert!(missing.to_string().starts_with("cannot read"), "{missing}");
 }
 
 #[test]

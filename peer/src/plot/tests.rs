@@ -101,6 +101,20 @@ fn nothing_to_draw_is_still_a_picture() {
 }
 
 #[test]
+fn a_realignment_has_the_colours_of_the_paper_and_leaves_out_what_is_empty() {
+    let realignment = Realignment {
+        vehicle: "drone1".to_owned(),
+        anchor_cloud: room().layers[0].points.clone(),
+        path_after: room().layers[1].points.clone(),
+        ..Realignment::default()
+    };
+    let plot = realignment.plot("Lab");
+    let colors: Vec<Color> = plot.layers.iter().map(|layer| layer.color).collect();
+    assert_eq!(colors, [Color::RED, Color::GREEN]);
+    assert_eq!(plot.layers[1].name, "drone1's path, after");
+}
+
+#[test]
 fn ticks_are_round() {
     let check = |start: f64, end: f64, expected: &[f64], decimals: usize| {
         let (ticks, got_decimals) = axis::Range { start, end }.ticks(5.0);
