@@ -176,8 +176,7 @@ fn read_rigid(data: &[f64]) -> Result<Transform<Body, Camera>, CalibrationError>
     let error = (linear * linear.transpose() - Matrix3::identity()).norm()
         + (linear.determinant() - 1.0).abs();
     let translation: Vector3<f64> = matrix.fixed_view::<3, 1>(0, 3).into_owned();
-    // Written so that NaN fails too.
-    if !(error < 1e-2) || !translation.iter().all(|value| value.is_finite()) {
+    if error.is_nan() || error >= 1e-2 || !translation.iter().all(|value| value.is_finite()) {
         return Err(CalibrationError::NotRigid { error });
     }
     let rotation = UnitQuaternion::from_matrix(&linear);

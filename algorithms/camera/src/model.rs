@@ -72,7 +72,12 @@ impl CameraModel {
         // Corners may lie beyond the fold, as with many wide lenses; the middle of a border not.
         let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
         let (middle, centre) = (0.5 * right, 0.5 * bottom);
-        for (x, y) in [(0.0, centre), (right, centre), (middle, 0.0), (middle, bottom)] {
+        for (x, y) in [
+            (0.0, centre),
+            (right, centre),
+            (middle, 0.0),
+            (middle, bottom),
+        ] {
             if camera.unproject(&Vector2::new(x, y)).is_none() {
                 return Err(ImplausibleCamera::FoldedDistortion { x, y });
             }
@@ -166,8 +171,7 @@ impl CameraModel {
     }
 
     fn ideal(&self, point_in_camera: &Vector3<f64>) -> Option<Vector2<f64>> {
-        // Written so that NaN fails too.
-        if !(point_in_camera.z > 1e-9) {
+        if point_in_camera.z.is_nan() || point_in_camera.z <= 1e-9 {
             return None;
         }
         let ideal = point_in_camera.xy() / point_in_camera.z;

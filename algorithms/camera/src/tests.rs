@@ -95,7 +95,10 @@ fn rays_beyond_the_fold_of_the_polynomial_have_no_pixel() {
         p2: 0.0,
         k3: 0.0,
     };
-    let intrinsics = Intrinsics { cx: 250.0, ..INTRINSICS };
+    let intrinsics = Intrinsics {
+        cx: 250.0,
+        ..INTRINSICS
+    };
     let camera = CameraModel::new(500, 480, intrinsics, distortion).unwrap();
     assert!(camera.project(&Vector3::new(1.0, 0.0, 1.0)).is_some());
     assert_eq!(camera.project(&Vector3::new(1.2, 0.0, 1.0)), None);

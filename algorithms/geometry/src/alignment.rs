@@ -32,7 +32,7 @@ pub fn umeyama<Target, Source>(
         target_mean += target * weight;
         source_mean += source * weight;
     }
-    if pair_count < 3 || !(weight_sum > 0.0 && weight_sum.is_finite()) {
+    if pair_count < 3 || weight_sum <= 0.0 || !weight_sum.is_finite() {
         return Err(DegenerateAlignment::TooFewPairs);
     }
     target_mean /= weight_sum;
@@ -47,7 +47,9 @@ pub fn umeyama<Target, Source>(
     }
     let svd = cross.svd(true, true);
     let (u, v_transposed) = (svd.u.unwrap_or_default(), svd.v_t.unwrap_or_default());
-    if !(svd.singular_values[1] > 1e-9 * svd.singular_values[0]) {
+    let spread = svd.singular_values[1] / svd.singular_values[0];
+    // One spot gives 0/0.
+    if spread.is_nan() || spread <= 1e-9 {
         return Err(DegenerateAlignment::Collinear);
     }
     let mut signs = Vector3::new(1.0, 1.0, 1.0);
@@ -61,7 +63,7 @@ pub fn umeyama<Target, Source>(
     } else {
         1.0
     };
-    if !(scale > 0.0 && scale.is_finite()) {
+    if scale <= 0.0 || !scale.is_finite() {
         return Err(DegenerateAlignment::Collinear);
     }
     let translation = target_mean - rotation * source_mean * scale;

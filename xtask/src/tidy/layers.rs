@@ -17,7 +17,7 @@ const LAYERS: [(&str, &[&str]); 12] = [
     ("geodesy", &["geometry"]),
     ("vslam", &["camera", "features", "geometry"]),
     ("registration", &["camera", "features", "geometry"]),
-    ("protocol", &["geometry"]),
+    ("protocol", &["geodesy", "geometry"]),
     (
         "anchor",
         &[
