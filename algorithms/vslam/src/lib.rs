@@ -9,6 +9,7 @@ mod map;
 mod mapping;
 mod optics;
 mod plane_grid;
+pub mod pose_graph;
 mod relocalise;
 mod report;
 mod search;
