@@ -43,7 +43,11 @@ pub struct BundleObservation {
 impl BundleObservation {
     fn is_usable(&self) -> bool {
         let sigma_valid = self.sigma > 0.0 && self.sigma.is_finite();
-        sigma_valid && self.position.iter().all(|coordinate| coordinate.is_finite())
+        sigma_valid
+            && self
+                .position
+                .iter()
+                .all(|coordinate| coordinate.is_finite())
     }
 }
 
