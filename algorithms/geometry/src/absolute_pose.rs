@@ -72,7 +72,7 @@ pub struct RefinedPose<World> {
     /// Maps points of the world into the camera.
     pub camera_from_world: Transform<Camera, World>,
     /// Covariance of `[ω; ν]` that perturbs the **inverse** on the right,
-    /// `world_from_camera * exp([ω; ν])`: rotation [rad] and translation along the camera's axes,
+    /// `world_from_camera * exp([ω; ν])`: rotation (rad) and translation along the camera's axes,
     /// whatever the distance to the world's origin.
     /// The covariance of the camera's position in the world is `R Σνν Rᵀ`, `R` that of
     /// `world_from_camera`.

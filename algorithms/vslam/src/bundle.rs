@@ -67,12 +67,15 @@ pub struct BundleProblem {
 pub struct BundleSettings {
     /// A squared, whitened residual above this has linear cost, and is an outlier in the end.
     pub chi_squared_max: f64,
-    /// Steps of the robust fit at most. Five are enough for a window that was optimised a
-    /// keyframe ago.
+    /// Steps of the robust fit at most. Without outliers five converge; each outlier share of
+    /// 5 % adds about four.
     pub iteration_count_max: usize,
     /// Steps of plain least squares at most that follow without the outliers; zero for none.
+    /// Five plus five steps end nearer to the truth than forty robust ones where 5 % or more are
+    /// outliers, and slightly farther where none are.
     pub refit_iteration_count_max: usize,
-    /// Stop when a step lowers the cost by less than this share of it.
+    /// Stop when a step lowers the cost by less than this share of it. Noise makes up most of the
+    /// cost: 1e-4 leaves weak directions, scale above all, where they started.
     pub cost_decrease_min: f64,
     /// Whether [`BundleReport::point_covariances`] is filled.
     pub point_covariances: bool,
@@ -86,7 +89,7 @@ impl Default for BundleSettings {
             chi_squared_max: 5.991,
             iteration_count_max: 10,
             refit_iteration_count_max: 0,
-            cost_decrease_min: 1e-4,
+            cost_decrease_min: 1e-6,
             point_covariances: true,
             pose_covariances: false,
         }

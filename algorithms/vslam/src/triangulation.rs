@@ -17,7 +17,7 @@ pub struct Sighting {
 /// What a point must satisfy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriangulationSettings {
-    /// Widest angle between two of its rays at least [rad]. Smaller admits points whose depth is
+    /// Widest angle between two of its rays at least (rad). Smaller admits points whose depth is
     /// a guess, larger leaves a slowly moving camera without new points.
     pub parallax_rad_min: f64,
     /// A squared, whitened residual above this in any view refuses the point.
@@ -40,7 +40,7 @@ pub struct Triangulated {
     pub point_in_map: Vector3<f64>,
     /// Its covariance, the cameras' poses taken as exact.
     pub covariance_in_map: Matrix3<f64>,
-    /// The widest angle between two of its rays [rad].
+    /// The widest angle between two of its rays (rad).
     pub parallax_rad: f64,
 }
 
@@ -55,7 +55,7 @@ pub enum TriangulationRefusal {
     BehindCamera,
     /// The rays are too close to parallel to say how far the point is.
     LowParallax {
-        /// The widest angle between two rays [rad].
+        /// The widest angle between two rays (rad).
         parallax_rad: f64,
     },
     /// No point is near all the rays.
@@ -115,7 +115,7 @@ pub fn triangulate(
     })
 }
 
-/// The widest angle between two lines from the point to the cameras [rad].
+/// The widest angle between two lines from the point to the cameras (rad).
 pub fn parallax_rad(sightings: &[Sighting], point_in_map: &Vector3<f64>) -> f64 {
     let ray = |sighting: &Sighting| point_in_map - camera_in_map(sighting);
     let mut widest: f64 = 0.0;

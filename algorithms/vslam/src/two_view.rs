@@ -41,7 +41,7 @@ pub struct TwoViewSettings {
     pub match_count_min: usize,
     /// Points that must come out in front of both cameras, accurate and with parallax.
     pub point_count_min: usize,
-    /// The median angle between the two rays of the points must reach this [rad]. Less gives a
+    /// The median angle between the two rays of the points must reach this (rad). Less gives a
     /// map whose depths are guesses, more makes a slow camera wait.
     pub parallax_rad_min: f64,
 }
@@ -79,7 +79,7 @@ pub struct TwoView {
     pub point_count: usize,
     /// Which model won.
     pub model: TwoViewModel,
-    /// The median angle between the two rays of a point [rad].
+    /// The median angle between the two rays of a point (rad).
     pub parallax_rad_median: f64,
 }
 
@@ -112,7 +112,7 @@ pub enum TwoViewRefusal {
     },
     /// The cameras are too close together for the distance of what they see.
     LowParallax {
-        /// The median angle between two rays [rad].
+        /// The median angle between two rays (rad).
         parallax_rad_median: f64,
     },
     /// Too few points in front of both cameras, accurate and with parallax.
