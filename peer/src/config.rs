@@ -43,30 +43,24 @@ pub struct CameraConfig {
 }
 
 /// Where position fixes come from: exactly one of `file` and `stream`.
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct PositionConfig {
     /// A TUM trajectory in the site frame, of which only the positions are read, or a CSV
     /// `timestamp,latitude_deg,longitude_deg,altitude_m[,sigma_m]`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
     /// Fixes arrive with the camera's stream.
-    #[serde(default)]
     pub stream: bool,
     /// The name of the site frame, where positions are not geodetic.
-    #[serde(default = "default_site")]
     pub site: String,
     /// One sigma of each axis where the source states none. 0.01 to 10; too small lets single
     /// bad fixes bend the map, too large delays the first alignment.
-    #[serde(default = "default_sigma_m")]
     pub sigma_m: f64,
     /// Noise added to each fix, for rehearsals; drawn from `noise_seed` and the fix's stamp.
-    #[serde(default)]
     pub noise_m: f64,
-    #[serde(default)]
     pub noise_seed: u64,
     /// From the body's origin to the antenna, forward, left, up.
-    #[serde(default)]
     pub lever_arm_m: [f64; 3],
 }
 
@@ -110,12 +104,18 @@ pub struct EstimationConfig {
     pub seed: Option<u64>,
 }
 
-fn default_site() -> String {
-    "site".to_owned()
-}
-
-fn default_sigma_m() -> f64 {
-    0.01
+impl Default for PositionConfig {
+    fn default() -> Self {
+        Self {
+            file: None,
+            stream: false,
+            site: "site".to_owned(),
+            sigma_m: 0.01,
+            noise_m: 0.0,
+            noise_seed: 0,
+            lever_arm_m: [0.0; 3],
+        }
+    }
 }
 
 impl Default for ZenohConfig {

@@ -14,6 +14,7 @@ use crate::config::{CameraConfig, EstimationConfig, PositionConfig, VehicleConfi
 use crate::process::VehicleSummary;
 use crate::process::control::Report;
 use crate::team::{Crew, Links, Outage, Supervised, VehicleReport, loopback};
+pub use calibration::sensor_yaml;
 use simulator::{Simulator, SimulatorEvent};
 
 /// What is flown.
@@ -37,13 +38,20 @@ pub struct DemoReport {
 /// What happens on the way, for whoever looks on.
 pub enum Progress<'a> {
     /// The first vehicle can be asked.
-    Listening { endpoints: &'a [String] },
+    Listening {
+        endpoints: &'a [String],
+    },
     Flying {
         frame_idx: usize,
         frame_count: usize,
     },
-    LinkCut { vehicle: &'a str, cut: Cut },
-    LinkHealed { vehicle: &'a str },
+    LinkCut {
+        vehicle: &'a str,
+        cut: Cut,
+    },
+    LinkHealed {
+        vehicle: &'a str,
+    },
 }
 
 /// So long may the simulator or a vehicle take to start, to take a frame, or to end.
@@ -125,7 +133,10 @@ impl Flight {
             outages: outages(plan.seed),
             frame_count,
             summaries: vec![None; vehicles.len()],
-            ids: vehicles.iter().map(|vehicle| vehicle.id.to_owned()).collect(),
+            ids: vehicles
+                .iter()
+                .map(|vehicle| vehicle.id.to_owned())
+                .collect(),
             realtime_factor: None,
         })
     }
@@ -214,7 +225,7 @@ fn vehicle_config(
     out: &Path,
 ) -> anyhow::Result<VehicleConfig> {
     let calibration = out.join(format!("{}.camera.yaml", vehicle.id));
-    std::fs::write(&calibration, calibration::sensor_yaml(vehicle))
+    std::fs::write(&calibration, sensor_yaml(vehicle))
         .with_context(|| format!("cannot write {}", calibration.display()))?;
     Ok(VehicleConfig {
         id: vehicle.id.to_owned(),

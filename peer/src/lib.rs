@@ -2,15 +2,15 @@
 
 pub mod cli;
 pub mod config;
-pub mod demo;
 pub mod dataset;
+pub mod demo;
 pub mod evaluate;
 pub mod files;
 pub mod link;
 pub mod node;
+pub mod plot;
 pub mod position;
 pub mod process;
+pub mod recorder;
 pub mod store;
 pub mod team;
-pub mod plot;
-pub mod recorder;

@@ -41,14 +41,19 @@ pub enum Event {
     /// A position; comes before the frames that are newer than it.
     Fix(PositionFix),
     /// Somebody published this.
-    Message { key: String, payload: Arc<[u8]> },
+    Message {
+        key: String,
+        payload: Arc<[u8]>,
+    },
     /// Somebody answered a request with this.
     Reply {
         request: RequestId,
         key: String,
         payload: Arc<[u8]>,
     },
-    RequestEnded { request: RequestId },
+    RequestEnded {
+        request: RequestId,
+    },
     NeighbourCame,
     NeighbourLeft,
     /// Time has passed.

@@ -112,7 +112,11 @@ fn parse_geodetic(line: &str) -> Option<ParsedLine> {
         [] | [""] => None,
         [sigma_m, ..] => Some(finite(sigma_m).filter(|sigma_m| *sigma_m > 0.0)?),
     };
-    Some((parse_seconds(stamp)?, FixPosition::Geodetic(position), sigma_m))
+    Some((
+        parse_seconds(stamp)?,
+        FixPosition::Geodetic(position),
+        sigma_m,
+    ))
 }
 
 fn finite(text: &str) -> Option<f64> {
@@ -180,7 +184,10 @@ mod tests {
 
     #[test]
     fn reads_geodetic_positions_with_their_sigma() {
-        let file = read("timestamp,latitude_deg\n0,52.1,13.2,40\n1,52.1,13.2,40,0.5\n", 0.0);
+        let file = read(
+            "timestamp,latitude_deg\n0,52.1,13.2,40\n1,52.1,13.2,40,0.5\n",
+            0.0,
+        );
         let fixes = file.unwrap().fixes;
         assert!((fixes[0].sigma_m() - 0.1).abs() < 1e-12);
         assert!((fixes[1].sigma_m() - 0.5).abs() < 1e-12);

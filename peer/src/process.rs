@@ -147,7 +147,12 @@ fn open_node(config: &VehicleConfig, calibration: &Calibration) -> anyhow::Resul
     let epoch_seed = estimation
         .seed
         .map_or_else(random_seed, |seed| seeded_by_name(seed, &config.id));
-    Ok(Node::anchor(settings, calibration.clone(), &source, epoch_seed))
+    Ok(Node::anchor(
+        settings,
+        calibration.clone(),
+        &source,
+        epoch_seed,
+    ))
 }
 
 fn seeded_by_name(seed: u64, id: &str) -> u64 {

@@ -158,12 +158,7 @@ impl HeldMap {
     }
 
     /// Whether a chunk overlaps the box that was asked for; one that is not placed is in no box.
-    fn stands_in(
-        &self,
-        number: ChunkNumber,
-        payload: &[u8],
-        parameters: &MapParameters,
-    ) -> bool {
+    fn stands_in(&self, number: ChunkNumber, payload: &[u8], parameters: &MapParameters) -> bool {
         if parameters.area.is_none() {
             return true;
         }

@@ -57,8 +57,13 @@ pub struct TeamReport {
 /// What happens on the way, for whoever looks on.
 pub enum Progress<'a> {
     /// The first vehicle can be asked.
-    Listening { endpoints: &'a [String] },
-    Flying { tick_idx: usize, tick_count: usize },
+    Listening {
+        endpoints: &'a [String],
+    },
+    Flying {
+        tick_idx: usize,
+        tick_count: usize,
+    },
 }
 
 /// Messages that should be there are waited for no longer than this.
@@ -92,7 +97,9 @@ pub fn fly(plan: &TeamPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Re
         });
     }
     let wall_s = began.elapsed().as_secs_f64();
-    let flown_s = ticks.last().map_or(0.0, |tick| tick.elapsed_ns as f64 * 1e-9);
+    let flown_s = ticks
+        .last()
+        .map_or(0.0, |tick| tick.elapsed_ns as f64 * 1e-9);
     let vehicles = team.finish(plan)?;
     Ok(TeamReport {
         realtime_factor: if wall_s > 0.0 { flown_s / wall_s } else { 0.0 },
@@ -106,7 +113,9 @@ fn open_recordings(plan: &TeamPlan) -> anyhow::Result<Vec<Vec<i64>>> {
     let stamps = plan.vehicles.iter().map(|vehicle| {
         let dataset = Dataset::open(&vehicle.dataset)?;
         let frames = dataset.frames().iter();
-        Ok(frames.map(|frame| frame.captured_at.nanoseconds()).collect())
+        Ok(frames
+            .map(|frame| frame.captured_at.nanoseconds())
+            .collect())
     });
     stamps.collect()
 }
@@ -147,7 +156,10 @@ impl Team {
         let deadline = Instant::now() + PATIENCE;
         while !self.barrier.everybody_heard_everybody() {
             if Instant::now() > deadline {
-                bail!("the vehicles do not hear each other: {}", self.barrier.silent_pairs());
+                bail!(
+                    "the vehicles do not hear each other: {}",
+                    self.barrier.silent_pairs()
+                );
             }
             for (vehicle_idx, now_ns) in first_ns.iter().enumerate() {
                 let order = Order::Greet { now_ns: *now_ns };
@@ -248,7 +260,10 @@ fn vehicle_config(
     let mut dataset = vehicle.dataset.clone();
     dataset.folder = absolute(&dataset.folder)?;
     let mut position = vehicle.position.clone();
-    if let Some(file) = position.as_mut().and_then(|position| position.file.as_mut()) {
+    if let Some(file) = position
+        .as_mut()
+        .and_then(|position| position.file.as_mut())
+    {
         *file = absolute(file)?;
     }
     Ok(VehicleConfig {

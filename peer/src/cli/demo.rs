@@ -59,7 +59,10 @@ pub fn run(arguments: &DemoArguments) -> anyhow::Result<Exit> {
     if let Some(bar) = bar {
         bar.finish();
     }
-    let ok = report.vehicles.iter().all(|vehicle| vehicle.state == "Global");
+    let ok = report
+        .vehicles
+        .iter()
+        .all(|vehicle| vehicle.state == "Global");
     print(report, ok, arguments)?;
     Ok(if ok { Exit::Done } else { Exit::Refused })
 }

@@ -75,12 +75,19 @@ pub fn run(command: &MapCommand) -> anyhow::Result<Exit> {
         Ok(count)
     };
     if take(&mut collection, &arguments.selector)? == 0 {
-        bail!("nobody answers {:?}; tried {:?}", arguments.selector, arguments.connect);
+        bail!(
+            "nobody answers {:?}; tried {:?}",
+            arguments.selector,
+            arguments.connect
+        );
     }
     if arguments.out.is_some() || collection.has_chunks() {
         for map in collection.maps() {
             if !collection.has_chunks_of(&map) {
-                take(&mut collection, &format!("anchor/{}/map/{}/*", map.anchor, map.epoch))?;
+                take(
+                    &mut collection,
+                    &format!("anchor/{}/map/{}/*", map.anchor, map.epoch),
+                )?;
             }
             let placements = format!("anchor/{}/placement/{}/**", map.anchor, map.epoch);
             take(&mut collection, &placements)?;
@@ -89,13 +96,18 @@ pub fn run(command: &MapCommand) -> anyhow::Result<Exit> {
     let (summaries, points) = collection.summarise();
     if let Some(path) = &arguments.out {
         if points.is_empty() {
-            bail!("no point is placed yet, so nothing was written to {}", path.display());
+            bail!(
+                "no point is placed yet, so nothing was written to {}",
+                path.display()
+            );
         }
         write_cloud(path, &PointCloud::from_points(points))?;
     }
     if collection.malformed_count > 0 {
         let count = collection.malformed_count;
-        output::diagnose(&format!("{count} replies are no messages and were left out"));
+        output::diagnose(&format!(
+            "{count} replies are no messages and were left out"
+        ));
     }
     print(summaries, arguments)?;
     Ok(if collection.malformed_count > 0 {

@@ -92,7 +92,10 @@ fn print(report: &TeamReport, json: bool) -> anyhow::Result<()> {
 
 fn plan(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<TeamPlan> {
     if !(arguments.fix_noise_m >= 0.0 && arguments.fix_noise_m.is_finite()) {
-        let message = format!("--fix-noise-m is {}, expected at least 0", arguments.fix_noise_m);
+        let message = format!(
+            "--fix-noise-m is {}, expected at least 0",
+            arguments.fix_noise_m
+        );
         return Err(UsageError(message).into());
     }
     let fixes = fixes_of_anchors(arguments, order)?;
@@ -131,12 +134,12 @@ fn plan(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<TeamPla
 }
 
 /// Each `--fixes` belongs to the `--anchor` before it.
-fn fixes_of_anchors(
-    arguments: &TeamArguments,
-    order: &ArgMatches,
-) -> anyhow::Result<Vec<PathBuf>> {
+fn fixes_of_anchors(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Vec<PathBuf>> {
     let positions = |name: &str| -> Vec<usize> {
-        order.indices_of(name).map(Iterator::collect).unwrap_or_default()
+        order
+            .indices_of(name)
+            .map(Iterator::collect)
+            .unwrap_or_default()
     };
     let (anchors, files) = (positions("anchor"), positions("fixes"));
     let mut fixes: Vec<Option<PathBuf>> = vec![None; anchors.len()];
@@ -154,5 +157,7 @@ fn fixes_of_anchors(
         }
     }
     let complete: Option<Vec<PathBuf>> = fixes.into_iter().collect();
-    complete.context(UsageError("each --anchor needs --fixes after it".to_owned()))
+    complete.context(UsageError(
+        "each --anchor needs --fixes after it".to_owned(),
+    ))
 }

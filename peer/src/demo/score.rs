@@ -35,8 +35,8 @@ pub fn score(folder: &Path, summary: &VehicleSummary, seed: u64) -> anyhow::Resu
 }
 
 fn read_covariances(path: &PathBuf) -> anyhow::Result<Vec<Matrix3<f64>>> {
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("cannot read {}", path.display()))?;
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let rows = text.lines().skip(1).map(|line| {
         let numbers: Vec<f64> = line
             .split(',')
@@ -58,14 +58,17 @@ pub fn realignment(folder: &Path, anchor: &str, peer: &str) -> anyhow::Result<Re
     let path = |id: &str, suffix: &str| folder.join(format!("{id}.{suffix}"));
     let cloud = |path: &Path| -> anyhow::Result<Vec<Vector3<f64>>> {
         // A vehicle that never found itself has an empty map, which the reader refuses.
-        Ok(read_cloud(path).map(|cloud| cloud.points).unwrap_or_default())
+        Ok(read_cloud(path)
+            .map(|cloud| cloud.points)
+            .unwrap_or_default())
     };
     let corrected: Vec<StampedPose<Enu>> = read_tum(&path(peer, "final.tum"))?;
     let truth: Vec<StampedPose<Enu>> = read_tum(&path(peer, "truth.tum"))?;
     let path_after = positions(&corrected);
     let cloud_after = cloud(&path(peer, "map.ply"))?;
     let start = path_after.first().copied().unwrap_or_default();
-    let rough = |points: &[Vector3<f64>]| points.iter().map(|point| roughly(point, &start)).collect();
+    let rough =
+        |points: &[Vector3<f64>]| points.iter().map(|point| roughly(point, &start)).collect();
     Ok(Realignment {
         vehicle: peer.to_owned(),
         anchor_cloud: cloud(&path(anchor, "map.ply"))?,

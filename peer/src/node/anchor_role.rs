@@ -54,22 +54,12 @@ impl AnchorRole {
         }
     }
 
-    pub fn take_fix(
-        &mut self,
-        fix: PositionFix,
-        map: &VslamMap,
-        outlet: &mut Outlet<'_>,
-    ) {
+    pub fn take_fix(&mut self, fix: PositionFix, map: &VslamMap, outlet: &mut Outlet<'_>) {
         self.drive(VecDeque::from([AnchorEvent::Fix(fix)]), map, outlet);
     }
 
     /// Tells the anchor what a frame did to the own map, and carries out what it wants.
-    pub fn take_frame(
-        &mut self,
-        report: &FrameReport,
-        map: &VslamMap,
-        outlet: &mut Outlet<'_>,
-    ) {
+    pub fn take_frame(&mut self, report: &FrameReport, map: &VslamMap, outlet: &mut Outlet<'_>) {
         let mut events = VecDeque::new();
         if self.own_map.is_some_and(|known| known != report.map_id) {
             let epoch_random = epoch_random(self.epoch_seed, self.epoch_count);
@@ -123,7 +113,9 @@ impl AnchorRole {
         });
         let tie = Tie::Known(KnownTie {
             age_s: now - known.newest_fix_at,
-            position_sigma_m: pose.as_ref().map(|(_, covariance)| worst_sigma_m(covariance)),
+            position_sigma_m: pose
+                .as_ref()
+                .map(|(_, covariance)| worst_sigma_m(covariance)),
             objection: (state != VehicleState::Global).then(|| reason.to_owned()),
             basis: reason.to_owned(),
         });

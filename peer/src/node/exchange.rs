@@ -78,12 +78,7 @@ impl Exchange {
     }
 
     /// No more replies come.
-    pub fn end_request(
-        &mut self,
-        request: RequestId,
-        now: Timestamp,
-        effects: &mut Vec<Effect>,
-    ) {
+    pub fn end_request(&mut self, request: RequestId, now: Timestamp, effects: &mut Vec<Effect>) {
         if let Some(Purpose::Pull { holder, chunk }) = self.open.remove(&request) {
             let held = self.sync.held(&chunk.map);
             if !held.is_some_and(|held| held.contains(chunk.number)) {

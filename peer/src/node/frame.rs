@@ -63,16 +63,23 @@ impl Node {
         self.status = Status::after(&report, &tied.tie, &limits, self.was_global);
         let is_global = self.status.state == VehicleState::Global;
         self.was_global |= is_global;
-        let global = tied.pose.filter(|_| is_global).map(|(enu_from_camera, covariance)| {
-            let enu_from_body = enu_from_camera * self.calibration.body_from_camera.inverse();
-            GlobalFramePose {
-                enu_from_camera,
-                position_covariance: position_block(&covariance),
-                body_covariance: in_body_axes(&covariance, &enu_from_body),
-                enu_from_body,
-            }
-        });
-        self.publish_pose(captured_at, global.as_ref().zip(tied.datum.as_ref()), effects);
+        let global = tied
+            .pose
+            .filter(|_| is_global)
+            .map(|(enu_from_camera, covariance)| {
+                let enu_from_body = enu_from_camera * self.calibration.body_from_camera.inverse();
+                GlobalFramePose {
+                    enu_from_camera,
+                    position_covariance: position_block(&covariance),
+                    body_covariance: in_body_axes(&covariance, &enu_from_body),
+                    enu_from_body,
+                }
+            });
+        self.publish_pose(
+            captured_at,
+            global.as_ref().zip(tied.datum.as_ref()),
+            effects,
+        );
         effects.push(Effect::Posed(FramePose {
             captured_at,
             state: self.status.state,
@@ -139,17 +146,21 @@ fn tie_to_anchors(role: &PeerRole, report: &FrameReport, now: Timestamp) -> Tied
         };
     };
     let pose = report.map_from_camera.as_ref().map(|map_from_camera| {
-        let covariance =
-            estimate.pose_covariance(map_from_camera, report.pose_covariance.as_ref());
+        let covariance = estimate.pose_covariance(map_from_camera, report.pose_covariance.as_ref());
         (estimate.enu_from_camera(map_from_camera), covariance)
     });
     let objection = estimate.conflict.then(|| {
         let others = role.names(&estimate.inconsistent_anchors);
-        format!("conflict: {} and {others} contradict each other", role.names(&estimate.anchors))
+        format!(
+            "conflict: {} and {others} contradict each other",
+            role.names(&estimate.anchors)
+        )
     });
     let tie = Tie::Known(KnownTie {
         age_s: estimate.age_s,
-        position_sigma_m: pose.as_ref().map(|(_, covariance)| worst_sigma_m(covariance)),
+        position_sigma_m: pose
+            .as_ref()
+            .map(|(_, covariance)| worst_sigma_m(covariance)),
         objection,
         basis: format!("registered to {}", role.names(&estimate.anchors)),
     });

@@ -54,7 +54,8 @@ impl PeerRole {
             point_in_chunk: point.position_in_chunk,
             descriptor: Descriptor::from_bytes(point.descriptor),
         });
-        self.localizer.insert_chunk(anchor, idx, landmarks.collect());
+        self.localizer
+            .insert_chunk(anchor, idx, landmarks.collect());
         self.chunk_count += 1;
         let placed = page
             .into_iter()
@@ -112,7 +113,8 @@ impl PeerRole {
         };
         for known in map.keyframes() {
             let pose = known.map_from_camera();
-            self.localizer.keyframe_moved(keyframe_idx(known.id()), &pose);
+            self.localizer
+                .keyframe_moved(keyframe_idx(known.id()), &pose);
         }
         let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));
         self.last_verdict = Some(alignment.verdict);

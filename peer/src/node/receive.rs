@@ -5,9 +5,7 @@ use std::sync::Arc;
 use geometry::Timestamp;
 use protocol::keys::Key;
 use protocol::sync::SyncEvent;
-use protocol::{
-    Chunk, ChunkId, Have, Manifest, MapId, Placement, PlacementPage, Pose, decode,
-};
+use protocol::{Chunk, ChunkId, Have, Manifest, MapId, Placement, PlacementPage, Pose, decode};
 
 use super::shelf::Taken;
 use super::{Effect, Kept, Node, Role};
@@ -88,7 +86,8 @@ impl Node {
             Key::Have(vehicle) => {
                 let have: Have = decode(payload)?;
                 matches(&have.vehicle, &vehicle)?;
-                self.exchange.tell(SyncEvent::BeaconHeard(have), now, effects);
+                self.exchange
+                    .tell(SyncEvent::BeaconHeard(have), now, effects);
                 Ok(())
             }
             Key::Pose(vehicle) => {

@@ -4,9 +4,7 @@ use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hasher};
 
 use protocol::sync::SyncEvent;
-use protocol::{
-    Chunk, ChunkId, ChunkNumber, Manifest, MapId, Placement, PlacementPage,
-};
+use protocol::{Chunk, ChunkId, ChunkNumber, Manifest, MapId, Placement, PlacementPage};
 
 /// More maps are not taken in; whoever is heard first stays.
 const MAP_COUNT_MAX: usize = 256;
@@ -128,7 +126,10 @@ impl HeldMap {
     /// The highest revision of a placement or page, and a digest of all of them.
     fn placement_summary(&self) -> (u32, u64) {
         let placement = self.placement.as_ref().map(|placement| placement.revision);
-        let pages = self.pages.values().map(|page| (page.page(), page.revision()));
+        let pages = self
+            .pages
+            .values()
+            .map(|page| (page.page(), page.revision()));
         let revisions = placement
             .map(|revision| (u32::MAX, revision))
             .into_iter()

@@ -14,7 +14,9 @@ pub struct Status {
 #[derive(Clone, Debug)]
 pub enum Tie {
     /// Nothing yet, and why.
-    None { reason: String },
+    None {
+        reason: String,
+    },
     Known(KnownTie),
 }
 

@@ -33,13 +33,18 @@ pub enum Report {
         first_captured_at_ns: Option<i64>,
     },
     /// All that belonged to the tick is done, its poses are published.
-    TickDone { tick: u64, sent: Counted },
+    TickDone {
+        tick: u64,
+        sent: Counted,
+    },
     /// The number of the newest message of each class, by sender.
     Heard {
         heard: BTreeMap<String, Counted>,
         open_request_count: usize,
     },
-    Finished { summary: Box<VehicleSummary> },
+    Finished {
+        summary: Box<VehicleSummary>,
+    },
 }
 
 /// Reads orders until the parent closes the pipe, which is also what its death does.

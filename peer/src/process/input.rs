@@ -149,7 +149,10 @@ impl Source for Recording {
             return self.fixes.pop_front().map(Input::Fix);
         };
         let captured_at = event.captured_at();
-        let due = self.fixes.front().is_some_and(|fix| fix.captured_at <= captured_at);
+        let due = self
+            .fixes
+            .front()
+            .is_some_and(|fix| fix.captured_at <= captured_at);
         if due && let Some(fix) = self.fixes.pop_front() {
             self.pending = Some(event);
             return Some(Input::Fix(fix));

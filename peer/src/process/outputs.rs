@@ -48,7 +48,8 @@ impl Outputs {
             self.status = Some(status.clone());
             let topic = format!("/{}/state", self.id);
             let text = (status.state.to_string(), status.reason.as_str());
-            self.recorder.record_state(&topic, pose.captured_at, &text)?;
+            self.recorder
+                .record_state(&topic, pose.captured_at, &text)?;
             self.recorder.flush()?;
         }
         if let Some(map_from_camera) = pose.map_from_camera {
@@ -73,7 +74,8 @@ impl Outputs {
         };
         let topic = format!("/{}/pose", self.id);
         let covariance = Some(body_covariance);
-        self.recorder.record_pose(&topic, stamp, enu_from_body, covariance)?;
+        self.recorder
+            .record_pose(&topic, stamp, enu_from_body, covariance)?;
         let line = format_tum_line(&StampedPose {
             captured_at: pose.captured_at,
             target_from_camera: *enu_from_camera,
@@ -107,8 +109,7 @@ impl Outputs {
                 .filter_map(|entry| {
                     Some(StampedPose {
                         captured_at: entry.captured_at,
-                        target_from_camera: enu_from_map
-                            .transform_pose(&entry.map_from_camera?),
+                        target_from_camera: enu_from_map.transform_pose(&entry.map_from_camera?),
                     })
                 })
                 .collect();
@@ -124,7 +125,8 @@ impl Outputs {
             frame_id: "map",
             captured_at: self.newest,
         };
-        self.recorder.record_cloud(&format!("/{}/map", self.id), stamp, &cloud)?;
+        self.recorder
+            .record_cloud(&format!("/{}/map", self.id), stamp, &cloud)?;
         write_cloud(&self.path("map.ply"), &cloud)?;
         let landmarks = node.landmarks_in_enu();
         if !landmarks.is_empty() {
@@ -133,8 +135,7 @@ impl Outputs {
         }
         let path = self.path("json");
         let text = serde_json::to_string_pretty(summary)?;
-        std::fs::write(&path, text)
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
         self.recorder.finish()?;
         Ok(())
     }

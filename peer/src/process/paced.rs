@@ -161,20 +161,27 @@ fn rank(event: &LinkEvent) -> Rank {
         LinkEvent::NeighbourLeft { .. } => (0, None, 0, String::new(), Vec::new()),
         LinkEvent::NeighbourCame { .. } => (1, None, 0, String::new(), Vec::new()),
         LinkEvent::Sample(sample) => {
-            let class = sample.origin.as_ref().map_or(3, |origin| origin.class as u8);
+            let class = sample
+                .origin
+                .as_ref()
+                .map_or(3, |origin| origin.class as u8);
             let payload = match sample.origin {
                 Some(_) => Vec::new(),
                 None => sample.payload.to_vec(),
             };
-            (2 + class, sample.origin.clone(), 0, sample.key.clone(), payload)
+            (
+                2 + class,
+                sample.origin.clone(),
+                0,
+                sample.key.clone(),
+                payload,
+            )
         }
         LinkEvent::Reply {
             request,
             key,
             payload,
         } => (6, None, request.0, key.clone(), payload.to_vec()),
-        LinkEvent::RequestEnded { request } => {
-            (7, None, request.0, String::new(), Vec::new())
-        }
+        LinkEvent::RequestEnded { request } => (7, None, request.0, String::new(), Vec::new()),
     }
 }

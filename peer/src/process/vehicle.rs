@@ -81,7 +81,9 @@ impl Vehicle {
                 self.tally.begin_frame(captured_at);
                 let began = Instant::now();
                 self.take(Event::Frame { captured_at, image }, now)?;
-                self.tally.frame_ms.push(began.elapsed().as_secs_f32() * 1e3);
+                self.tally
+                    .frame_ms
+                    .push(began.elapsed().as_secs_f32() * 1e3);
                 Ok(())
             }
             Input::Unreadable {

@@ -89,14 +89,20 @@ fn each_question_gets_what_it_asks_for() {
     let [first, second, third] = chunks.each_ref().map(String::as_str);
     check("anchor/*/map", &["anchor/ugv1/map"]);
     check("anchor/*/map/*/*", &[first, second, third]);
-    check("anchor/*/map/**", &["anchor/ugv1/map", first, second, third]);
+    check(
+        "anchor/*/map/**",
+        &["anchor/ugv1/map", first, second, third],
+    );
     check("anchor/*/map/*/*?since=1-0000000a:1", &[third]);
     check("anchor/*/map/*/*?bbox=10,-5,12,5", &[second]);
     check("anchor/*/map/*/*?bbox=nonsense", &[]);
     check("anchor/drone1/map/**", &[]);
     check(
         "anchor/ugv1/placement/1-0000000a/**",
-        &["anchor/ugv1/placement/1-0000000a", "anchor/ugv1/placement/1-0000000a/0"],
+        &[
+            "anchor/ugv1/placement/1-0000000a",
+            "anchor/ugv1/placement/1-0000000a/0",
+        ],
     );
     check(
         "vehicle/drone1/chunk/ugv1/1-0000000a/2",

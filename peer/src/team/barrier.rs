@@ -22,7 +22,9 @@ pub struct Barrier {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stream {
     /// All that is sent beyond these numbers arrives.
-    Up { floor: Counted },
+    Up {
+        floor: Counted,
+    },
     Cut,
     /// The link may work again; it counts once the newest notice has come through.
     Healing,
@@ -105,7 +107,8 @@ impl Barrier {
         for (sender_idx, receiver_idx) in late {
             let (sender, receiver) = (&self.ids[sender_idx], &self.ids[receiver_idx]);
             tracing::warn!(sender, receiver, "messages are late; going on without them");
-            self.streams.insert((sender_idx, receiver_idx), Stream::Healing);
+            self.streams
+                .insert((sender_idx, receiver_idx), Stream::Healing);
         }
         self.open_request_count.fill(0);
         self.stalled = true;
@@ -156,7 +159,9 @@ impl Barrier {
 
     fn silent(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let pairs = self.streams.keys().copied();
-        pairs.filter(|(sender_idx, receiver_idx)| self.heard_from(*sender_idx, *receiver_idx)[1] == 0)
+        pairs.filter(|(sender_idx, receiver_idx)| {
+            self.heard_from(*sender_idx, *receiver_idx)[1] == 0
+        })
     }
 }
 
@@ -200,11 +205,20 @@ mod tests {
             barrier.take_done(1, number, [0, 1]);
             barrier.is_passed()
         };
-        assert!(tick(&mut barrier, 1, [5, 4]), "nothing is expected over a cut link");
+        assert!(
+            tick(&mut barrier, 1, [5, 4]),
+            "nothing is expected over a cut link"
+        );
         barrier.set_up(pair, true);
-        assert!(tick(&mut barrier, 2, [6, 4]), "it may take a while to come back");
+        assert!(
+            tick(&mut barrier, 2, [6, 4]),
+            "it may take a while to come back"
+        );
         heard(&mut barrier, 1, "a", [0, 5]);
-        assert!(tick(&mut barrier, 3, [6, 5]), "what was lost before is not waited for");
+        assert!(
+            tick(&mut barrier, 3, [6, 5]),
+            "what was lost before is not waited for"
+        );
         assert!(!tick(&mut barrier, 4, [7, 5]), "what is sent now is");
     }
 }

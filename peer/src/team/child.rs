@@ -147,7 +147,10 @@ impl Crew {
                 None if member.summary.is_some() => {}
                 None => {
                     let status = member.child.wait()?;
-                    bail!("vehicle {} failed ({status}); its message is above", member.id);
+                    bail!(
+                        "vehicle {} failed ({status}); its message is above",
+                        member.id
+                    );
                 }
             }
         }
@@ -166,7 +169,10 @@ impl Crew {
                 return Ok(endpoints);
             }
         }
-        bail!("vehicle {} does not open its session", self.members[vehicle_idx].id)
+        bail!(
+            "vehicle {} does not open its session",
+            self.members[vehicle_idx].id
+        )
     }
 
     pub fn wait_for_end(

@@ -44,7 +44,10 @@ mod tests {
             vec![0, 33_333_000, 66_667_000],
             vec![13_333_333_000, 13_366_667_000, 13_500_000_000],
         ];
-        let elapsed: Vec<i64> = ticks(&recordings).iter().map(|tick| tick.elapsed_ns).collect();
+        let elapsed: Vec<i64> = ticks(&recordings)
+            .iter()
+            .map(|tick| tick.elapsed_ns)
+            .collect();
         assert_eq!(elapsed, [0, 33_334_000, 66_667_000, 166_667_000]);
     }
 }

@@ -28,7 +28,9 @@ impl Outage {
 
     /// Whether a link between these two is cut by it.
     pub fn concerns(&self, ids: [&str; 2]) -> bool {
-        self.vehicle.as_deref().is_none_or(|vehicle| ids.contains(&vehicle))
+        self.vehicle
+            .as_deref()
+            .is_none_or(|vehicle| ids.contains(&vehicle))
     }
 }
 
@@ -45,7 +47,11 @@ impl FromStr for Outage {
             None => (None, text),
         };
         let (start, end) = range.split_once("..").ok_or_else(malformed)?;
-        let seconds = |text: &str| text.parse::<f64>().ok().filter(|s| s.is_finite() && *s >= 0.0);
+        let seconds = |text: &str| {
+            text.parse::<f64>()
+                .ok()
+                .filter(|s| s.is_finite() && *s >= 0.0)
+        };
         let start_s = seconds(start).ok_or_else(malformed)?;
         let end_s = seconds(end).ok_or_else(malformed)?;
         if start_s >= end_s || vehicle.as_deref() == Some("") {

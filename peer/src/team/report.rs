@@ -70,7 +70,9 @@ impl VehicleReport {
 /// The vehicles as lines of a table, the head first.
 pub fn table(vehicles: &[VehicleReport]) -> Vec<String> {
     let with_truth = vehicles.iter().any(|vehicle| vehicle.score.is_some());
-    let mut head = vec!["vehicle", "role", "state", "global", "scale", "chunks", "sent", "no link"];
+    let mut head = vec![
+        "vehicle", "role", "state", "global", "scale", "chunks", "sent", "no link",
+    ];
     if with_truth {
         head.extend(["rmse", "final", "ratio", "ideal", "in 3σ"]);
     }
@@ -107,7 +109,9 @@ fn row(vehicle: &VehicleReport, with_truth: bool) -> Vec<String> {
 }
 
 fn number(value: Option<f64>, decimals: usize, unit: &str) -> String {
-    value.map_or("–".to_owned(), |value| format!("{value:.decimals$}{unit}"))
+    value.map_or("–".to_owned(), |value| {
+        format!("{value:.decimals$}{unit}")
+    })
 }
 
 fn align(rows: &[Vec<String>]) -> Vec<String> {

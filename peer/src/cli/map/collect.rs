@@ -5,9 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use geodesy::{Datum, enu_from_enu};
 use nalgebra::Vector3;
 use protocol::keys::Key;
-use protocol::{
-    Chunk, ChunkNumber, Manifest, MapId, Placement, PlacementPage, Ranges, decode,
-};
+use protocol::{Chunk, ChunkNumber, Manifest, MapId, Placement, PlacementPage, Ranges, decode};
 
 use super::MapSummary;
 use crate::link::Reply;
@@ -85,7 +83,9 @@ impl Collection {
     }
 
     pub fn has_chunks_of(&self, map: &MapId) -> bool {
-        self.maps.get(map).is_some_and(|parts| !parts.chunks.is_empty())
+        self.maps
+            .get(map)
+            .is_some_and(|parts| !parts.chunks.is_empty())
     }
 
     /// What there is, and all placed points in the datum of the first map that has one; maps
@@ -116,10 +116,7 @@ impl Collection {
 }
 
 impl Parts {
-    fn points_in_enu(
-        &self,
-        placement: &Placement,
-    ) -> impl Iterator<Item = Vector3<f64>> + use<'_> {
+    fn points_in_enu(&self, placement: &Placement) -> impl Iterator<Item = Vector3<f64>> + use<'_> {
         let enu_from_map = placement.enu_from_map;
         let placed = self.pages.values().flat_map(PlacementPage::placements);
         placed.flat_map(move |placed| {

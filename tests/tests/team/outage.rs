@@ -1,0 +1,41 @@
+//! Goal: what was missed in an outage is fetched after it. Method: cut all links for 5 s while
+//! the anchor maps, and compare what it published with what the peer holds in the end.
+
+use tempfile::TempDir;
+
+use crate::processes::{starling, succeed, summary};
+use crate::recordings::RECORDINGS;
+
+#[test]
+fn what_was_missed_in_an_outage_is_fetched_after_it() {
+    let folder = TempDir::new().unwrap();
+    succeed(
+        starling()
+            .args(["team", "--outage", "6..11", "--json", "--anchor"])
+            .arg(&RECORDINGS.ground)
+            .arg("--fixes")
+            .arg(&RECORDINGS.fixes)
+            .arg("--peer")
+            .arg(&RECORDINGS.drone)
+            .arg("--out")
+            .arg(folder.path()),
+    );
+    let (anchor, peer) = (
+        summary(folder.path(), "anchor1"),
+        summary(folder.path(), "peer1"),
+    );
+    let published = anchor["counters"]["chunks_published"].as_u64().unwrap();
+    let received = peer["counters"]["chunks_received"].as_u64().unwrap();
+    assert!(published > 10, "{anchor}");
+    // What was published in the very last ticks may find the peer gone.
+    assert!(
+        received + 3 >= published,
+        "{published} published, {received} received"
+    );
+    assert!(
+        peer["counters"]["chunks_pulled"].as_u64().unwrap() > 0,
+        "{peer}"
+    );
+    assert!(peer["without_link_s"].as_f64().unwrap() > 4.0, "{peer}");
+    assert_eq!(peer["state"], "Global", "{peer}");
+}

@@ -1,0 +1,81 @@
+//! Short recordings of two vehicles, in the layout of the TUM RGB-D benchmark.
+
+use std::fmt::Write;
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, LazyLock};
+
+use sim::{Renderer, Scenario, Scene};
+use tempfile::TempDir;
+
+/// 20 s at 10 Hz: long enough to be placed, to lose the link, and to find it again.
+const FRAME_COUNT: usize = 200;
+const SEED: u64 = 1;
+
+/// The recordings of all tests.
+pub static RECORDINGS: LazyLock<Recordings> = LazyLock::new(Recordings::render);
+
+pub struct Recordings {
+    _folder: TempDir,
+    /// A ground vehicle and a drone in one room; neither folder holds a truth.
+    pub ground: PathBuf,
+    pub drone: PathBuf,
+    /// Fixes of the ground vehicle, far beyond its recording too.
+    pub fixes: PathBuf,
+}
+
+impl Recordings {
+    fn render() -> Self {
+        let folder = TempDir::new().unwrap();
+        let scenario = Scenario::lab(SEED);
+        let scene = Arc::new(Scene::paint(&scenario.world));
+        let ground = folder.path().join("ground");
+        let drone = folder.path().join("drone");
+        render(&scenario, &scene, 0, &ground);
+        render(&scenario, &scene, 1, &drone);
+        let mut fixes = String::from("# timestamp tx ty tz qx qy qz qw\n");
+        for fix in scenario.fixes(0) {
+            let p = fix.position_in_site;
+            let stamp = fix.captured_at;
+            writeln!(fixes, "{stamp} {} {} {} 0 0 0 1", p.x, p.y, p.z).unwrap();
+        }
+        let path = folder.path().join("fixes.tum");
+        fs::write(&path, fixes).unwrap();
+        Self {
+            _folder: folder,
+            ground,
+            drone,
+            fixes: path,
+        }
+    }
+}
+
+fn render(scenario: &Scenario, scene: &Arc<Scene>, vehicle_idx: usize, folder: &Path) {
+    fs::create_dir_all(folder.join("rgb")).unwrap();
+    let vehicle = &scenario.vehicles[vehicle_idx];
+    let description = &vehicle.description;
+    let yaml = peer::demo::sensor_yaml(description);
+    fs::write(folder.join("camera.yaml"), yaml).unwrap();
+    let mut renderer = Renderer::new(Arc::clone(scene), &description.camera, vehicle.sensor);
+    let mut list = String::from("# timestamp filename\n");
+    for frame_idx in 0..FRAME_COUNT {
+        let image = renderer.render(&scenario.shot(vehicle_idx, frame_idx));
+        let stamp = scenario.timestamp(scenario.frame_time_s(frame_idx));
+        let name = format!("rgb/{frame_idx:04}.png");
+        let size = (image.width() as u32, image.height() as u32);
+        write_png(&folder.join(&name), size, image.pixels());
+        writeln!(list, "{stamp} {name}").unwrap();
+    }
+    fs::write(folder.join("rgb.txt"), list).unwrap();
+}
+
+fn write_png(path: &Path, (width, height): (u32, u32), pixels: &[u8]) {
+    let file = BufWriter::new(File::create(path).unwrap());
+    let mut encoder = png::Encoder::new(file, width, height);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fastest);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(pixels).unwrap();
+}

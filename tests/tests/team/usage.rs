@@ -1,0 +1,79 @@
+//! Exit codes and errors that a person can act on.
+
+use std::fs;
+
+use tempfile::TempDir;
+
+use crate::processes::starling;
+use crate::recordings::RECORDINGS;
+
+fn check(arguments: &[&str], code: i32, expected: &str) {
+    let output = starling().args(arguments).output().unwrap();
+    let diagnostics = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{arguments:?}: {diagnostics}"
+    );
+    assert!(
+        diagnostics.contains(expected),
+        "{arguments:?}: {diagnostics}"
+    );
+}
+
+#[test]
+fn commands_end_with_the_codes_of_the_contract() {
+    check(&["swarm", "--drones", "3"], 1, "not built yet");
+    check(&["no-such-command"], 2, "unrecognized subcommand");
+    check(&["team", "--out", "o"], 2, "--anchor");
+    check(
+        &["team", "--out", "o", "--fixes", "f", "--anchor", "a"],
+        2,
+        "--fixes f follows no --anchor",
+    );
+    check(
+        &[
+            "team", "--out", "o", "--anchor", "a", "--fixes", "f", "--outage", "x:1..2",
+        ],
+        2,
+        "not in the team",
+    );
+    check(
+        &["run", "--config", "no-such-file.toml"],
+        1,
+        "no-such-file.toml",
+    );
+    let nobody = ["map", "get", "anchor/*/map", "--connect", "tcp/127.0.0.1:9"];
+    check(&nobody, 1, "tcp/127.0.0.1:9");
+}
+
+#[test]
+fn bad_input_is_named_with_its_place() {
+    let folder = TempDir::new().unwrap();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let run = |name: &str, tables: &str, code: i32, expected: &str| {
+        let path = folder.path().join(name);
+        let head = format!("id = \"v\"\nout = {:?}\n", folder.path());
+        fs::write(&path, head + tables).unwrap();
+        check(&["run", "--config", path.to_str().unwrap()], code, expected);
+    };
+    let camera = format!(
+        "[camera]\ndataset = \"{}@0..5\"\n",
+        RECORDINGS.drone.display()
+    );
+    let zenoh = format!("{camera}[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\n");
+    run("port.toml", &zenoh, 1, "is the port in use?");
+    let empty = folder.path().join("no-fixes.tum");
+    fs::write(&empty, "0.0 nan 1 2 0 0 0 1\n").unwrap();
+    let position = format!("{camera}[position]\nfile = {empty:?}\n");
+    run("fixes.toml", &position, 1, "no usable line of 1");
+    run(
+        "missing.toml",
+        "[camera]\ndataset = \"nowhere\"\n",
+        1,
+        "nowhere",
+    );
+    let stream = "[camera]\nstream = \"127.0.0.1:9\"\ncalibration = \"no.yaml\"\n";
+    run("calibration.toml", stream, 1, "no.yaml");
+}
