@@ -1,5 +1,7 @@
 //! Corners by the segment test.
 
+use nalgebra::Vector2;
+
 use crate::plane::Plane;
 use crate::simd::{InstructionSet, multiversion};
 
@@ -8,17 +10,77 @@ use crate::simd::{InstructionSet, multiversion};
 pub(crate) struct Corner {
     pub(crate) x: u16,
     pub(crate) y: u16,
-    pub(crate) score: u8,
+    /// Scores of the pixels around, row by row; the corner's own is in the middle.
+    pub(crate) scores: [[u8; AROUND]; AROUND],
 }
 
 /// Radius of the ring of the segment test.
 pub(crate) const RING_RADIUS_PX: usize = 3;
+/// Scores are kept this far around a corner.
+const AROUND_RADIUS_PX: usize = 2;
+const AROUND: usize = 2 * AROUND_RADIUS_PX + 1;
+/// Nothing is found closer to the border.
+pub(crate) const MARGIN_PX_MIN: usize = RING_RADIUS_PX + AROUND_RADIUS_PX;
+
+impl Corner {
+    pub(crate) fn score(&self) -> u8 {
+        self.scores[AROUND_RADIUS_PX][AROUND_RADIUS_PX]
+    }
+
+    /// From the pixel to the top of the paraboloid that fits the scores around it best under a
+    /// Gaussian weight of σ = 1 px; at most one pixel in each direction.
+    ///
+    /// Of what was tried this repeats best between views of known homography (median distance,
+    /// pixels of the level): whole pixel 0.62, Förstner's intersection of gradients 0.67,
+    /// paraboloid over 3 × 3 pixels 0.34, this one 0.29.
+    pub(crate) fn shift_px(&self) -> Vector2<f64> {
+        // Σ w g p over p = x, y, xy, and x², y² less their weighted mean: orthogonal under a
+        // separable weight, so each coefficient is a quotient of its own.
+        let [mut along_x, mut along_y, mut twist, mut bend_x, mut bend_y] = [0.0_f64; 5];
+        for (row, v) in self.scores.iter().zip(-2_i32..) {
+            for (&score, u) in row.iter().zip(-2_i32..) {
+                let weight = weight(u) * weight(v) * f64::from(score);
+                let (x, y) = (f64::from(u), f64::from(v));
+                along_x += weight * x;
+                along_y += weight * y;
+                twist += weight * x * y;
+                bend_x += weight * (x * x - MEAN_SQUARE);
+                bend_y += weight * (y * y - MEAN_SQUARE);
+            }
+        }
+        let slope = Vector2::new(along_x, along_y) / (SUM_0 * SUM_2);
+        let twist = twist / (SUM_2 * SUM_2);
+        let bends = 2.0 / (SUM_0 * (SUM_4 - MEAN_SQUARE * SUM_2));
+        let (bend_x, bend_y) = (bend_x * bends, bend_y * bends);
+        let determinant = bend_x * bend_y - twist * twist;
+        if bend_x >= 0.0 || determinant <= 0.0 {
+            return Vector2::zeros();
+        }
+        let shift = Vector2::new(
+            twist * slope.y - bend_y * slope.x,
+            twist * slope.x - bend_x * slope.y,
+        ) / determinant;
+        shift / shift.amax().max(1.0)
+    }
+}
+
+/// exp(-u²/2) for u = 0, 1, 2.
+const GAUSSIAN: [f64; AROUND_RADIUS_PX + 1] = [1.0, 0.606_530_66, 0.135_335_28];
+/// Σ of the weights along one axis, and with u² and u⁴.
+const SUM_0: f64 = 1.0 + 2.0 * (GAUSSIAN[1] + GAUSSIAN[2]);
+const SUM_2: f64 = 2.0 * (GAUSSIAN[1] + 4.0 * GAUSSIAN[2]);
+const SUM_4: f64 = 2.0 * (GAUSSIAN[1] + 16.0 * GAUSSIAN[2]);
+const MEAN_SQUARE: f64 = SUM_2 / SUM_0;
+
+fn weight(u: i32) -> f64 {
+    GAUSSIAN[u.unsigned_abs() as usize]
+}
 
 /// Finds corners; keeps its buffers from image to image.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CornerFinder {
-    /// Scores of three neighbouring rows, used in turn.
-    scores: [Vec<u8>; 3],
+    /// Scores of five neighbouring rows, used in turn.
+    scores: [Vec<u8>; AROUND],
     peaks: Vec<u8>,
 }
 
@@ -38,33 +100,60 @@ impl CornerFinder {
         threshold: u8,
         corners: &mut Vec<Corner>,
     ) {
-        // One more pixel around is needed to find maxima.
-        let margin_px = margin_px.max(RING_RADIUS_PX + 1);
+        let margin_px = margin_px.max(MARGIN_PX_MIN);
         if plane.width() <= 2 * margin_px || plane.height() <= 2 * margin_px {
             return;
         }
         let inner_width = plane.width() - 2 * margin_px;
-        let score_width = inner_width + 2;
+        let score_width = inner_width + 2 * AROUND_RADIUS_PX;
         for row in &mut self.scores {
             row.clear();
             row.resize(score_width, 0);
         }
         self.peaks.clear();
         self.peaks.resize(inner_width, 0);
-        let ring_columns = margin_px - 1 - RING_RADIUS_PX..;
-        for y in margin_px - 1..=plane.height() - margin_px {
+        let first_column = margin_px - MARGIN_PX_MIN;
+        let rows = margin_px - AROUND_RADIUS_PX..plane.height() - margin_px + AROUND_RADIUS_PX;
+        for y in rows {
             let rows: [&[u8]; 7] = std::array::from_fn(|idx| {
-                &plane.row(y + idx - RING_RADIUS_PX)[ring_columns.clone()]
+                &plane.row(y + idx - RING_RADIUS_PX)[first_column..]
                     [..score_width + 2 * RING_RADIUS_PX]
             });
             self.scores.rotate_left(1);
-            score_row(instructions, &rows, &mut self.scores[2]);
-            if y > margin_px {
-                let [above, middle, below] = &self.scores;
-                let around = [above.as_slice(), middle, below];
+            score_row(instructions, &rows, &mut self.scores[AROUND - 1]);
+            if y >= margin_px + AROUND_RADIUS_PX {
+                let columns = 1..score_width - 1;
+                let around: [&[u8]; 3] =
+                    std::array::from_fn(|idx| &self.scores[idx + 1][columns.clone()]);
                 mark_peaks(instructions, &around, threshold, &mut self.peaks);
-                collect_peaks(&self.peaks, margin_px, y - 1, corners);
+                self.collect_peaks(margin_px, y - AROUND_RADIUS_PX, corners);
             }
+        }
+    }
+
+    fn collect_peaks(&self, margin_px: usize, y: usize, corners: &mut Vec<Corner>) {
+        let mut push = |x: usize| {
+            corners.push(Corner {
+                x: (margin_px + x) as u16,
+                y: y as u16,
+                scores: self.scores.each_ref().map(|row| {
+                    *row[x..]
+                        .first_chunk()
+                        .expect("scores reach two pixels beyond peaks")
+                }),
+            });
+        };
+        let (words, rest) = self.peaks.as_chunks::<8>();
+        for (word_idx, word) in words.iter().enumerate() {
+            let mut left = u64::from_le_bytes(*word);
+            while left != 0 {
+                let byte_idx = left.trailing_zeros() as usize / 8;
+                push(8 * word_idx + byte_idx);
+                left &= !(0xff << (8 * byte_idx));
+            }
+        }
+        for (idx, _) in rest.iter().enumerate().filter(|(_, score)| **score != 0) {
+            push(8 * words.len() + idx);
         }
     }
 }
@@ -90,9 +179,9 @@ fn score_row_body(rows: &[&[u8]; 7], scores: &mut [u8]) {
         &r6[3..],
         &r6[2..],
         &r5[1..],
-        &r4,
-        &r3,
-        &r2,
+        r4,
+        r3,
+        r2,
         &r1[1..],
         &r0[2..],
     ]
@@ -145,24 +234,5 @@ fn mark_peaks_body(around: &[&[u8]; 3], threshold: u8, peaks: &mut [u8]) {
     }
 }
 
-fn collect_peaks(peaks: &[u8], first_x: usize, y: usize, corners: &mut Vec<Corner>) {
-    let mut push = |x: usize, score: u8| {
-        corners.push(Corner {
-            x: (first_x + x) as u16,
-            y: y as u16,
-            score,
-        });
-    };
-    let (words, rest) = peaks.as_chunks::<8>();
-    for (word_idx, word) in words.iter().enumerate() {
-        let mut left = u64::from_le_bytes(*word);
-        while left != 0 {
-            let byte_idx = left.trailing_zeros() as usize / 8;
-            push(8 * word_idx + byte_idx, word[byte_idx]);
-            left &= !(0xff << (8 * byte_idx));
-        }
-    }
-    for (idx, &score) in rest.iter().enumerate().filter(|(_, score)| **score != 0) {
-        push(8 * words.len() + idx, score);
-    }
-}
+#[cfg(test)]
+mod tests;

@@ -9,18 +9,23 @@ use crate::patch::{self, Placement};
 use crate::plane::Plane;
 use crate::pyramid::{Pyramid, PyramidShape};
 use crate::simd::InstructionSet;
-use crate::spread::{self, RatedCorner};
+use crate::spread::{self, Selection};
 use crate::{Features, Keypoint, histogram, orientation, projection};
 
-/// What an [`Extractor`] looks for.
+/// What an [`Extractor`] looks for. Values out of range are brought to the nearest in range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExtractorSettings {
     /// At most this many features. More cost time in proportion and track longer.
     pub feature_count: usize,
-    /// Pyramid levels, 1 to 16; small images get fewer.
+    /// Pyramid levels, 1 to 16; images get only those whose sides are 40 px or more. Cameras of
+    /// different focal length share what their levels share: see the crate's documentation.
     pub level_count: usize,
-    /// Size ratio of neighbouring levels, above 1 to 2.
+    /// Size ratio of neighbouring levels, 1.05 to 2. Larger is faster and matches less well
+    /// between the levels.
     pub scale_factor: f64,
+    /// Image pixels per pixel of level 0, 0.5 to 1. Below 1 the image is enlarged first, which
+    /// finds finer corners at up to four times the cost.
+    pub finest_scale: f64,
     /// Contrast of a corner to its ring, grey values; lower finds more corners in dull cells.
     pub corner_threshold: u8,
     /// Used in cells where `corner_threshold` finds nothing. Too low and noise becomes corners.
@@ -31,10 +36,27 @@ impl Default for ExtractorSettings {
     fn default() -> Self {
         Self {
             feature_count: 1000,
-            level_count: 8,
+            level_count: 12,
             scale_factor: 1.2,
+            finest_scale: 1.0,
             corner_threshold: 20,
             corner_threshold_min: 7,
+        }
+    }
+}
+
+impl ExtractorSettings {
+    fn scale(&self, level: usize) -> f64 {
+        self.finest_scale * self.scale_factor.powi(level as i32)
+    }
+
+    fn in_range(self) -> Self {
+        Self {
+            level_count: self.level_count.clamp(1, 16),
+            scale_factor: self.scale_factor.clamp(1.05, 2.0),
+            finest_scale: self.finest_scale.clamp(0.5, 1.0),
+            corner_threshold: self.corner_threshold.max(self.corner_threshold_min),
+            ..self
         }
     }
 }
@@ -58,21 +80,30 @@ pub struct Extractor {
     /// Corners of all levels, one list each.
     corners: Vec<Vec<Corner>>,
     strongest: Vec<u8>,
-    rated: Vec<RatedCorner>,
+    selection: Selection,
     smooth: Plane,
 }
 
 impl Extractor {
     pub fn new(settings: ExtractorSettings) -> Self {
+        Self::with_instructions(settings, InstructionSet::detect())
+    }
+
+    /// The results do not depend on the instructions.
+    pub(crate) fn with_instructions(
+        settings: ExtractorSettings,
+        instructions: InstructionSet,
+    ) -> Self {
+        let settings = settings.in_range();
         Self {
             settings,
-            instructions: InstructionSet::detect(),
+            instructions,
             pyramid: Pyramid::default(),
             finder: CornerFinder::default(),
             blur: Blur::default(),
             corners: vec![Vec::new(); settings.level_count],
             strongest: Vec::new(),
-            rated: Vec::new(),
+            selection: Selection::default(),
             smooth: Plane::default(),
         }
     }
@@ -83,10 +114,13 @@ impl Extractor {
 
     /// Full-resolution pixels per pixel of this level.
     pub fn level_scale(&self, level: u8) -> f64 {
-        self.shape().scale(usize::from(level))
+        self.settings.scale(usize::from(level))
     }
 
-    /// Replaces `features` by those of the image.
+    /// Replaces `features` by those of the image, level by level.
+    ///
+    /// Deterministic, on any machine. Allocates only while images or lists grow. Images wider or
+    /// higher than 16384 px have no features.
     pub fn extract(&mut self, image: &Image, features: &mut Features) {
         features.clear();
         self.pyramid.build(self.instructions, image, &self.shape());
@@ -112,7 +146,7 @@ impl Extractor {
 
     fn shape(&self) -> PyramidShape {
         PyramidShape {
-            finest_scale: 1.0,
+            finest_scale: self.settings.finest_scale,
             scale_factor: self.settings.scale_factor,
             level_count_max: self.settings.level_count,
             side_px_min: 2 * MARGIN_PX + 8,
@@ -132,19 +166,17 @@ impl Extractor {
 
     fn describe_level(&mut self, level: usize, quota: usize, features: &mut Features) {
         let plane = &self.pyramid.levels()[level];
-        spread::keep_spread(plane, &self.corners[level], quota, &mut self.rated);
-        if self.rated.is_empty() {
+        let corners = &self.corners[level];
+        if corners.is_empty() || quota == 0 {
             return;
         }
         self.blur
             .smooth(self.instructions, plane, PADDING_PX, &mut self.smooth);
-        let scale = self.level_scale(level as u8);
-        for RatedCorner {
-            corner, structure, ..
-        } in &self.rated
-        {
+        let scale = self.settings.scale(level);
+        for corner_idx in self.selection.choose(plane, corners, quota) {
+            let corner = &corners[corner_idx];
             let (x, y) = (usize::from(corner.x), usize::from(corner.y));
-            let position = Vector2::new(x as f64, y as f64) + structure.shift_px;
+            let position = Vector2::new(x as f64, y as f64) + corner.shift_px();
             let centroid = orientation::centroid(plane, x, y);
             let placement = Placement {
                 centre_px: position.add_scalar(PADDING_PX as f64).cast(),
@@ -160,7 +192,7 @@ impl Extractor {
                 position_px: (position.add_scalar(0.5) * scale).add_scalar(-0.5),
                 level: level as u8,
                 angle_rad,
-                response: structure.response,
+                response: f32::from(corner.score()),
             });
         }
     }

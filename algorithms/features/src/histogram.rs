@@ -1,4 +1,8 @@
 //! Gradients around a corner, by place and direction.
+#![expect(
+    clippy::needless_range_loop,
+    reason = "one index over several slices of one length is what compilers vectorise"
+)]
 
 use crate::patch::{Patch, SIDE};
 use crate::simd::multiversion;

@@ -13,7 +13,7 @@ pub struct Keypoint {
     pub level: u8,
     /// Direction from the corner to the brightness centroid of its surroundings, from x to y.
     pub angle_rad: f32,
-    /// Strength of the corner; comparable within one image.
+    /// Contrast of the corner to its ring, grey values.
     pub response: f32,
 }
 

@@ -8,6 +8,7 @@ mod grid;
 mod histogram;
 mod keypoint;
 pub mod matching;
+pub mod optical_flow;
 mod orientation;
 mod patch;
 mod plane;
@@ -15,9 +16,11 @@ mod projection;
 mod pyramid;
 mod simd;
 mod spread;
-mod structure;
 
 pub use descriptor::Descriptor;
 pub use extractor::{Extractor, ExtractorSettings};
 pub use grid::FeatureGrid;
 pub use keypoint::{Features, Keypoint};
+
+#[cfg(test)]
+mod tests;

@@ -1,6 +1,12 @@
 //! Nearest descriptors.
 
+use crate::simd::InstructionSet;
 use crate::{Descriptor, Keypoint};
+
+mod hamming;
+mod mutual;
+#[cfg(test)]
+mod tests;
 
 /// A descriptor of one set and the one of the other set that it fits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,23 +63,14 @@ pub fn match_mutual(
     train: &[Descriptor],
     settings: &MatchSettings,
 ) -> Vec<Match> {
-    let mut matches = Vec::new();
-    let backward: Vec<Option<Nearest>> = train.iter().map(|one| nearest(one, query)).collect();
-    for (query_idx, one) in query.iter().enumerate() {
-        let Some(forward) = nearest(one, train).filter(|found| found.passes(settings)) else {
-            continue;
-        };
-        let mutual = backward[forward.train_idx as usize]
-            .is_some_and(|back| back.train_idx as usize == query_idx && back.passes(settings));
-        if mutual {
-            matches.push(Match {
-                query_idx: query_idx as u32,
-                train_idx: forward.train_idx,
-                distance: forward.distance,
-            });
-        }
-    }
-    matches
+    mutual::search(InstructionSet::detect(), query, train)
+        .filter(|(forward, backward)| forward.passes(settings) && backward.passes(settings))
+        .map(|(forward, backward)| Match {
+            query_idx: backward.train_idx,
+            train_idx: forward.train_idx,
+            distance: forward.distance,
+        })
+        .collect()
 }
 
 /// The nearest of all; `None` if there are none.

@@ -1,4 +1,8 @@
 //! Which way a corner points.
+#![expect(
+    clippy::needless_range_loop,
+    reason = "one index over several slices of one length is what compilers vectorise"
+)]
 
 use nalgebra::Vector2;
 

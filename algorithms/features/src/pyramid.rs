@@ -5,6 +5,9 @@ use camera::Image;
 use crate::plane::Plane;
 use crate::simd::{InstructionSet, multiversion};
 
+/// Positions on larger levels would not fit in 32 bits with their fractions.
+const SIDE_PX_MAX: usize = 16384;
+
 /// Bits of the weights of the interpolation.
 const WEIGHT_BITS: u32 = 8;
 
@@ -62,7 +65,7 @@ impl Pyramid {
         self.level_count = (0..shape.level_count_max)
             .take_while(|&level| {
                 let (width, height) = shape.size(image, level);
-                width.min(height) >= shape.side_px_min.max(2)
+                width.min(height) >= shape.side_px_min.max(2) && width.max(height) <= SIDE_PX_MAX
             })
             .count();
         if self.levels.len() < self.level_count {

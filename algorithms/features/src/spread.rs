@@ -2,7 +2,6 @@
 
 use crate::corners::Corner;
 use crate::plane::Plane;
-use crate::structure::{self, Structure};
 
 /// Side of the cells in which the lower threshold takes over.
 const THRESHOLD_CELL_PX: usize = 32;
@@ -23,67 +22,71 @@ pub(crate) fn keep_strong_or_only(
     strongest.resize(column_count * plane.height().div_ceil(THRESHOLD_CELL_PX), 0);
     for corner in corners.iter() {
         let best = &mut strongest[cell(corner)];
-        *best = corner.score.max(*best);
+        *best = corner.score().max(*best);
     }
-    corners.retain(|corner| corner.score > threshold || strongest[cell(corner)] <= threshold);
+    corners.retain(|corner| corner.score() > threshold || strongest[cell(corner)] <= threshold);
 }
 
-/// A corner with its strength.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct RatedCorner {
-    pub(crate) corner: Corner,
-    pub(crate) structure: Structure,
-    /// 0 for the strongest of its cell.
-    rank: u32,
-    cell: u32,
+/// Chooses corners; keeps its buffer.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Selection {
+    /// What comes first, in the uppermost bits, then the complement of the score, then the index.
+    keys: Vec<u64>,
 }
 
-/// Rates all corners and keeps at most `count`, spread over the plane.
-///
-/// The plane is cut into about as many square cells as corners are wanted: first come the strongest
-/// of each cell, then the second strongest, and so on; within one rank the stronger come first.
-pub(crate) fn keep_spread(
-    plane: &Plane,
-    corners: &[Corner],
-    count: usize,
-    rated: &mut Vec<RatedCorner>,
-) {
-    rated.clear();
-    if count == 0 {
-        return;
-    }
-    let area = (plane.width() * plane.height()) as f64;
-    let side = (area / count as f64).sqrt().max(1.0);
-    let column_count = (plane.width() as f64 / side) as u32 + 1;
-    rated.extend(corners.iter().map(|corner| {
-        let column = (f64::from(corner.x) / side) as u32;
-        let row = (f64::from(corner.y) / side) as u32;
-        RatedCorner {
-            corner: *corner,
-            structure: structure::measure(plane, usize::from(corner.x), usize::from(corner.y)),
-            rank: 0,
-            cell: row * column_count + column,
+const FIRST_SHIFT: u32 = 40;
+const SCORE_SHIFT: u32 = 32;
+
+impl Selection {
+    /// Indices of at most `count` corners, spread over the plane.
+    ///
+    /// The plane is cut into about as many square cells as corners are wanted: first come the
+    /// strongest of each cell, then the second strongest, and so on; within one rank the stronger
+    /// come first, of equals the first in reading order.
+    pub(crate) fn choose(
+        &mut self,
+        plane: &Plane,
+        corners: &[Corner],
+        count: usize,
+    ) -> impl Iterator<Item = usize> {
+        self.keys.clear();
+        if count > 0 {
+            self.sort_by_cell(plane, corners, count);
+            self.sort_by_rank();
+            self.keys.truncate(count);
         }
-    }));
-    let position = |one: &RatedCorner| (one.corner.y, one.corner.x);
-    rated.sort_unstable_by(|a, b| {
-        let stronger = b.structure.response.total_cmp(&a.structure.response);
-        a.cell
-            .cmp(&b.cell)
-            .then(stronger)
-            .then(position(a).cmp(&position(b)))
-    });
-    for idx in 1..rated.len() {
-        if rated[idx].cell == rated[idx - 1].cell {
-            rated[idx].rank = rated[idx - 1].rank + 1;
-        }
+        self.keys
+            .iter()
+            .map(|key| (key & ((1 << SCORE_SHIFT) - 1)) as usize)
     }
-    rated.sort_unstable_by(|a, b| {
-        let stronger = b.structure.response.total_cmp(&a.structure.response);
-        a.rank
-            .cmp(&b.rank)
-            .then(stronger)
-            .then(position(a).cmp(&position(b)))
-    });
-    rated.truncate(count);
+
+    fn sort_by_cell(&mut self, plane: &Plane, corners: &[Corner], count: usize) {
+        let area = (plane.width() * plane.height()) as f64;
+        let side = (area / count as f64).sqrt().max(1.0);
+        let column_count = (plane.width() as f64 / side) as u64 + 1;
+        self.keys
+            .extend(corners.iter().enumerate().map(|(idx, corner)| {
+                let column = (f64::from(corner.x) / side) as u64;
+                let row = (f64::from(corner.y) / side) as u64;
+                let cell = row * column_count + column;
+                let weakness = u64::from(u8::MAX - corner.score());
+                cell << FIRST_SHIFT | weakness << SCORE_SHIFT | idx as u64
+            }));
+        self.keys.sort_unstable();
+    }
+
+    /// Replaces the cell by the place within the cell.
+    fn sort_by_rank(&mut self) {
+        let (mut cell, mut rank) = (u64::MAX, 0);
+        for key in &mut self.keys {
+            rank = if *key >> FIRST_SHIFT == cell {
+                rank + 1
+            } else {
+                0
+            };
+            cell = *key >> FIRST_SHIFT;
+            *key = *key & ((1 << FIRST_SHIFT) - 1) | rank << FIRST_SHIFT;
+        }
+        self.keys.sort_unstable();
+    }
 }
