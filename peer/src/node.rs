@@ -23,7 +23,9 @@ use protocol::sync::SyncEvent;
 use protocol::{ChunkCamera, ChunkId, Manifest, Placement, PlacementPage, VehicleId, VehicleState};
 use vslam::{Vslam, VslamSettings};
 
+use crate::files::StampedPose;
 use crate::link::{Class, RequestId};
+use crate::store::Reloaded;
 use anchor_role::{AnchorRole, Outlet};
 use exchange::Exchange;
 use peer_role::PeerRole;
@@ -75,7 +77,7 @@ pub enum Effect {
         selector: String,
     },
     /// The frame is dealt with; its pose has been published.
-    Posed(FramePose),
+    Posed(Box<FramePose>),
 }
 
 /// What the store keeps and answers with.
@@ -83,7 +85,7 @@ pub enum Effect {
 pub enum Kept {
     Chunk(ChunkId, Arc<[u8]>),
     Manifest(Manifest),
-    Placement(Placement),
+    Placement(Box<Placement>),
     Page(PlacementPage),
     Beacon(Arc<[u8]>),
 }
@@ -127,6 +129,10 @@ pub struct PositionSource {
     pub datum: Option<Datum>,
     /// The lever arm: where the antenna is [m].
     pub antenna_in_body: Vector3<f64>,
+    /// Of the first epoch: one above the highest that is known.
+    pub epoch_counter: u32,
+    /// Makes the random part of epochs.
+    pub epoch_seed: u64,
 }
 
 /// What went wrong or was odd, counted.
@@ -174,13 +180,10 @@ impl Node {
     }
 
     /// A vehicle with a position source.
-    ///
-    /// - `epoch_seed`: makes the random part of its epochs.
     pub fn anchor(
         settings: NodeSettings,
         calibration: Calibration,
         source: &PositionSource,
-        epoch_seed: u64,
     ) -> Self {
         let camera = &calibration.camera;
         let chunk_camera = ChunkCamera {
@@ -193,7 +196,7 @@ impl Node {
         anchor_settings.stale_after_s = settings.stale_after_s;
         anchor_settings.georeference.body_from_camera = calibration.body_from_camera;
         anchor_settings.georeference.antenna_in_body = source.antenna_in_body;
-        let role = Role::Anchor(Box::new(AnchorRole::new(anchor_settings, epoch_seed)));
+        let role = Role::Anchor(Box::new(AnchorRole::new(anchor_settings, source)));
         Self::new(settings, calibration, role)
     }
 
@@ -214,6 +217,21 @@ impl Node {
             was_global: false,
             pose_published_at: None,
         }
+    }
+
+    /// Takes what was held before a restart; nothing is counted or said to anybody.
+    pub fn recall(&mut self, reloaded: Vec<Reloaded>) -> Vec<Kept> {
+        let mut effects = Vec::new();
+        for Reloaded { key, payload } in reloaded {
+            let (key, payload) = (key.to_string(), Arc::from(payload));
+            self.take_message(&key, &payload, Timestamp::default(), &mut effects);
+        }
+        self.counters = NodeCounters::default();
+        let kept = effects.into_iter().filter_map(|effect| match effect {
+            Effect::Keep(kept) => Some(kept),
+            _ => None,
+        });
+        kept.collect()
     }
 
     /// Takes one event and says what is to be done about it.
@@ -293,6 +311,39 @@ impl Node {
         match &self.role {
             Role::Anchor(role) => role.enu_from_map(),
             Role::Peer(role) => role.enu_from_map(now),
+        }
+    }
+
+    /// Every frame of the own map that can be placed, after all corrections.
+    pub fn corrected_trajectory(&self) -> Vec<StampedPose<Enu>> {
+        let map_id = self.slam.map().id();
+        let entries = self.slam.trajectory().into_iter();
+        let placed = entries.filter_map(|entry| {
+            let map_from_camera = entry.map_from_camera.filter(|_| entry.map_id == map_id)?;
+            let enu_from_map = self.enu_from_map_at(entry.captured_at)?;
+            Some(StampedPose {
+                captured_at: entry.captured_at,
+                target_from_camera: enu_from_map.transform_pose(&map_from_camera),
+            })
+        });
+        placed.collect()
+    }
+
+    /// The points of the own map in the global frame, after all corrections.
+    pub fn points_in_enu(&self) -> Vec<Vector3<f64>> {
+        let map = self.slam.map();
+        let placed = map.points().filter_map(|point| {
+            let keyframe = map.keyframe(point.views().first()?.keyframe)?;
+            let enu_from_map = self.enu_from_map_at(keyframe.captured_at())?;
+            Some(enu_from_map * *point.position_in_map())
+        });
+        placed.collect()
+    }
+
+    fn enu_from_map_at(&self, captured_at: Timestamp) -> Option<Similarity<Enu, Map>> {
+        match &self.role {
+            Role::Anchor(role) => role.enu_from_map_at(captured_at, self.slam.map()),
+            Role::Peer(role) => role.enu_from_map_at(captured_at),
         }
     }
 

@@ -16,10 +16,12 @@ use geodesy::Datum;
 use geometry::Timestamp;
 use nalgebra::Vector3;
 use protocol::VehicleId;
+use protocol::keys::Key;
 
 use crate::config::VehicleConfig;
 use crate::link::{Inbox, LinkEvent, inbox};
 use crate::node::{Event, Node, NodeSettings, PositionSource};
+use crate::store::{Reloaded, Store};
 use control::{Order, Report};
 use input::Input;
 use vehicle::Vehicle;
@@ -58,10 +60,11 @@ pub fn fly(
     std::fs::create_dir_all(&config.out)
         .with_context(|| format!("cannot create {}", config.out.display()))?;
     let mut source = input::open(config)?;
-    let node = open_node(config, source.calibration())?;
+    let held = open_store(config)?;
+    let node = open_node(config, source.calibration(), &held.1)?;
     let (sender, arrivals) = sync_channel(QUEUE_LIMIT);
     let link_inbox: Inbox = inbox(sender.clone(), Arrival::Link);
-    let mut vehicle = Vehicle::open(config, node, link_inbox)?;
+    let mut vehicle = Vehicle::open(config, node, held, link_inbox)?;
     report(&Report::Listening {
         endpoints: vehicle.endpoints(),
         first_captured_at_ns: source.first_captured_at().map(Timestamp::nanoseconds),
@@ -118,7 +121,19 @@ fn run_free(
     }
 }
 
-fn open_node(config: &VehicleConfig, calibration: &Calibration) -> anyhow::Result<Node> {
+fn open_store(config: &VehicleConfig) -> anyhow::Result<(Store, Vec<Reloaded>)> {
+    let id = VehicleId::new(&config.id)?;
+    Ok(match &config.store {
+        Some(folder) => Store::open(id, folder)?,
+        None => (Store::new(id), Vec::new()),
+    })
+}
+
+fn open_node(
+    config: &VehicleConfig,
+    calibration: &Calibration,
+    reloaded: &[Reloaded],
+) -> anyhow::Result<Node> {
     let estimation = &config.estimation;
     let settings = NodeSettings {
         id: VehicleId::new(&config.id)?,
@@ -136,7 +151,19 @@ fn open_node(config: &VehicleConfig, calibration: &Calibration) -> anyhow::Resul
             .any(|fix| matches!(fix.position, anchor::FixPosition::Geodetic(_))),
         None => false,
     };
+    // A restart begins a new epoch: its map shares no frame with the one before.
+    let own_epochs = reloaded.iter().filter_map(|one| match &one.key {
+        Key::Chunk(id) if id.map.anchor == settings.id => Some(id.map.epoch.counter),
+        Key::Placement(map) if map.anchor == settings.id => Some(map.epoch.counter),
+        _ => None,
+    });
     let source = PositionSource {
+        epoch_counter: own_epochs
+            .max()
+            .map_or(1, |highest| highest.saturating_add(1)),
+        epoch_seed: estimation
+            .seed
+            .map_or_else(random_seed, |seed| seeded_by_name(seed, &config.id)),
         datum: if geodetic {
             None
         } else {
@@ -144,15 +171,7 @@ fn open_node(config: &VehicleConfig, calibration: &Calibration) -> anyhow::Resul
         },
         antenna_in_body: Vector3::from(position.lever_arm_m),
     };
-    let epoch_seed = estimation
-        .seed
-        .map_or_else(random_seed, |seed| seeded_by_name(seed, &config.id));
-    Ok(Node::anchor(
-        settings,
-        calibration.clone(),
-        &source,
-        epoch_seed,
-    ))
+    Ok(Node::anchor(settings, calibration.clone(), &source))
 }
 
 fn seeded_by_name(seed: u64, id: &str) -> u64 {

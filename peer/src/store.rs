@@ -1,6 +1,9 @@
 //! What the vehicle answers with: every chunk, placement and manifest that it holds.
 
+mod segments;
+
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nalgebra::Vector3;
@@ -12,6 +15,9 @@ use protocol::{
 
 use crate::link::{Answer, Holdings, Question};
 use crate::node::Kept;
+use segments::Segments;
+
+pub use segments::{Reloaded, StoreError};
 
 /// The vehicle's holdings, shared between its own loop, which adds, and the link, which answers.
 #[derive(Clone)]
@@ -24,6 +30,7 @@ pub struct Store {
 struct Held {
     maps: BTreeMap<MapId, HeldMap>,
     beacon: Option<Arc<[u8]>>,
+    segments: Option<Segments>,
 }
 
 #[derive(Default)]
@@ -35,6 +42,7 @@ struct HeldMap {
 }
 
 impl Store {
+    /// A store in memory only.
     pub fn new(id: VehicleId) -> Self {
         Self {
             id,
@@ -42,7 +50,33 @@ impl Store {
         }
     }
 
-    pub fn keep(&self, kept: Kept) {
+    /// A store that outlives the process, and what it holds from before, to be told to the node.
+    pub fn open(id: VehicleId, folder: &Path) -> Result<(Self, Vec<Reloaded>), StoreError> {
+        let (segments, reloaded) = Segments::open(folder)?;
+        let store = Self::new(id);
+        store.lock().segments = Some(segments);
+        Ok((store, reloaded))
+    }
+
+    /// Keeps what came in; on disk too, if the store has a folder, before this returns.
+    pub fn keep(&self, kept: Kept) -> Result<(), StoreError> {
+        if let Some(segments) = &mut self.lock().segments {
+            segments.append(&kept)?;
+        }
+        self.hold(kept);
+        Ok(())
+    }
+
+    /// Ends the open file of a store that has a folder.
+    pub fn close(&self) -> Result<(), StoreError> {
+        match &mut self.lock().segments {
+            Some(segments) => segments.close(),
+            None => Ok(()),
+        }
+    }
+
+    /// Keeps in memory what is on disk already.
+    pub fn hold(&self, kept: Kept) {
         let mut held = self.lock();
         match kept {
             Kept::Chunk(id, payload) => {
@@ -55,7 +89,7 @@ impl Store {
             }
             Kept::Placement(placement) => {
                 let map = held.maps.entry(placement.map.clone()).or_default();
-                map.placement = Some(placement);
+                map.placement = Some(*placement);
             }
             Kept::Page(page) => {
                 let map = held.maps.entry(page.map().clone()).or_default();
@@ -105,13 +139,16 @@ impl Holdings for Store {
     }
 }
 
+/// Takes a key and how to make its payload, which is made only if the key is wanted.
+type Offer<'a> = dyn FnMut(Key, &dyn Fn() -> Arc<[u8]>) + 'a;
+
 impl HeldMap {
     fn answer(
         &self,
         map: &MapId,
         holder: &VehicleId,
         parameters: &MapParameters,
-        answer: &mut dyn FnMut(Key, &dyn Fn() -> Arc<[u8]>),
+        answer: &mut Offer<'_>,
     ) {
         if let Some(manifest) = &self.manifest {
             answer(Key::Manifest(map.anchor.clone()), &|| {

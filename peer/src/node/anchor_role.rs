@@ -17,7 +17,7 @@ use super::exchange::Exchange;
 use super::frame::{TiedPose, pose_covariance, worst_sigma_m};
 use super::shelf::Shelf;
 use super::status::{KnownTie, Tie};
-use super::{Effect, Kept, NodeCounters};
+use super::{Effect, Kept, NodeCounters, PositionSource};
 use crate::link::Class;
 
 /// The anchor's state machine, fed from the own map.
@@ -39,10 +39,10 @@ pub struct Outlet<'a> {
 }
 
 impl AnchorRole {
-    /// - `epoch_seed`: makes the random part of epochs.
-    pub fn new(settings: AnchorSettings, epoch_seed: u64) -> Self {
+    pub fn new(settings: AnchorSettings, source: &PositionSource) -> Self {
+        let epoch_seed = source.epoch_seed;
         let epoch = Epoch {
-            counter: 1,
+            counter: source.epoch_counter,
             random: epoch_random(epoch_seed, 0),
         };
         Self {
@@ -133,6 +133,21 @@ impl AnchorRole {
         Some(self.anchor.georeference()?.enu_from_map)
     }
 
+    /// What is known afterwards of where the map stood around a moment.
+    pub fn enu_from_map_at(
+        &self,
+        captured_at: Timestamp,
+        map: &VslamMap,
+    ) -> Option<Similarity<Enu, Map>> {
+        let georeference = self.anchor.georeference()?;
+        let distance = |one: &&vslam::Keyframe| (one.captured_at() - captured_at).abs();
+        let placed = map.keyframes();
+        let placed = placed.filter(|one| georeference.keyframes.contains_key(&one.id()));
+        let nearest = placed.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        let near = georeference.enu_from_map_near(nearest.id(), &nearest.map_from_camera());
+        near.map(|(enu_from_map, _)| enu_from_map)
+    }
+
     fn drive(
         &mut self,
         mut events: VecDeque<AnchorEvent>,
@@ -168,7 +183,8 @@ impl Outlet<'_> {
                 let map = placement.map.clone();
                 let payload = Arc::from(encode(&placement));
                 let key = Key::Placement(map.clone());
-                self.send(Kept::Placement(placement), Class::Notice, key, payload);
+                let kept = Kept::Placement(Box::new(placement));
+                self.send(kept, Class::Notice, key, payload);
                 self.tell_placement(map);
             }
             AnchorEffect::PublishPage(page) => {

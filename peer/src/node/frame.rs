@@ -80,13 +80,13 @@ impl Node {
             global.as_ref().zip(tied.datum.as_ref()),
             effects,
         );
-        effects.push(Effect::Posed(FramePose {
+        effects.push(Effect::Posed(Box::new(FramePose {
             captured_at,
             state: self.status.state,
             global,
             map_from_camera: report.map_from_camera,
             map_id: report.map_id,
-        }));
+        })));
     }
 
     fn publish_pose(

@@ -1,6 +1,7 @@
 //! Without a position source: the own map is registered to what the anchors published.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use features::Descriptor;
 use geodesy::{Datum, enu_from_enu};
@@ -26,7 +27,15 @@ pub struct PeerRole {
     last_verdict: Option<Verdict>,
     datum_refusal: Option<String>,
     chunk_count: usize,
+    /// The estimate after each keyframe, for what is only known afterwards.
+    history: Vec<(Timestamp, Similarity<Enu, Map>)>,
 }
+
+/// An estimate rests on the keyframes of a window before it: seen from a frame, the one that is
+/// this much later has the frame in the middle of its window.
+const HINDSIGHT: Duration = Duration::from_secs(2);
+/// Keyframes that are remembered; further ones change nothing in the past.
+const HISTORY_COUNT_MAX: usize = 65_536;
 
 impl PeerRole {
     pub fn new(seed: u64) -> Self {
@@ -42,6 +51,7 @@ impl PeerRole {
             last_verdict: None,
             datum_refusal: None,
             chunk_count: 0,
+            history: Vec::new(),
         }
     }
 
@@ -106,6 +116,7 @@ impl PeerRole {
         if self.own_map.is_some_and(|known| known != report.map_id) {
             self.localizer.forget_map();
             self.last_verdict = None;
+            self.history.clear();
         }
         self.own_map = Some(report.map_id);
         let Some(keyframe) = report.new_keyframe.and_then(|id| map.keyframe(id)) else {
@@ -118,6 +129,12 @@ impl PeerRole {
         }
         let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));
         self.last_verdict = Some(alignment.verdict);
+        let captured_at = report.captured_at;
+        if let Some(enu_from_map) = self.enu_from_map(captured_at)
+            && self.history.len() < HISTORY_COUNT_MAX
+        {
+            self.history.push((captured_at, enu_from_map));
+        }
         alignment.jumped
     }
 
@@ -127,6 +144,14 @@ impl PeerRole {
 
     pub fn enu_from_map(&self, now: Timestamp) -> Option<Similarity<Enu, Map>> {
         Some(self.localizer.estimate(now)?.enu_from_map)
+    }
+
+    /// What is known afterwards of where the map stood around a moment.
+    pub fn enu_from_map_at(&self, captured_at: Timestamp) -> Option<Similarity<Enu, Map>> {
+        let wanted = captured_at.after(HINDSIGHT);
+        let later = self.history.partition_point(|(at, _)| *at < wanted);
+        let known = self.history.get(later).or(self.history.last());
+        known.map(|(_, enu_from_map)| *enu_from_map)
     }
 
     pub fn datum(&self) -> Option<&Datum> {

@@ -145,7 +145,7 @@ impl Node {
                     role.take_placement(&placement);
                 }
                 let map = placement.map.clone();
-                effects.push(Effect::Keep(Kept::Placement(placement)));
+                effects.push(Effect::Keep(Kept::Placement(Box::new(placement))));
                 self.tell_placement(map, now, effects);
             }
             Taken::Equivocation => self.count_equivocation(&placement.map, "placement"),

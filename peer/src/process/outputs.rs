@@ -5,7 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use geometry::{Enu, Map, Similarity, Timestamp};
+use geometry::{Map, Timestamp};
 use vslam::MapId;
 
 use super::VehicleSummary;
@@ -93,34 +93,10 @@ impl Outputs {
     }
 
     /// Writes the trajectory after all corrections, the map, and the summary.
-    pub fn write_final(
-        mut self,
-        node: &Node,
-        enu_from_map: Option<&Similarity<Enu, Map>>,
-        summary: &VehicleSummary,
-    ) -> anyhow::Result<()> {
-        let map = node.slam().map();
-        let mut corrected = Vec::new();
-        let mut points = Vec::new();
-        if let Some(enu_from_map) = enu_from_map {
-            let entries = node.slam().trajectory().into_iter();
-            corrected = entries
-                .filter(|entry| entry.map_id == map.id())
-                .filter_map(|entry| {
-                    Some(StampedPose {
-                        captured_at: entry.captured_at,
-                        target_from_camera: enu_from_map.transform_pose(&entry.map_from_camera?),
-                    })
-                })
-                .collect();
-            let own_points = map.points();
-            points = own_points
-                .map(|point| *enu_from_map * *point.position_in_map())
-                .collect();
-        }
-        write_tum(&self.path("final.tum"), corrected)?;
+    pub fn write_final(mut self, node: &Node, summary: &VehicleSummary) -> anyhow::Result<()> {
+        write_tum(&self.path("final.tum"), node.corrected_trajectory())?;
         write_tum(&self.path("own.tum"), self.own_of_longest_map())?;
-        let cloud = PointCloud::from_points(points);
+        let cloud = PointCloud::from_points(node.points_in_enu());
         let stamp = Stamp {
             frame_id: "map",
             captured_at: self.newest,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use geometry::Timestamp;
-use protocol::{VehicleId, VehicleState};
+use protocol::VehicleState;
 
 use super::VehicleSummary;
 use super::control::Counted;
@@ -13,7 +13,7 @@ use super::outputs::Outputs;
 use crate::config::VehicleConfig;
 use crate::link::{Class, Inbox, Link, LinkEvent};
 use crate::node::{Effect, Event, FramePose, Node};
-use crate::store::Store;
+use crate::store::{Reloaded, Store};
 
 /// How long the end waits for messages that are still queued.
 const CLOSE_PATIENCE: Duration = Duration::from_secs(5);
@@ -43,8 +43,16 @@ struct Tally {
 }
 
 impl Vehicle {
-    pub fn open(config: &VehicleConfig, node: Node, inbox: Inbox) -> anyhow::Result<Self> {
-        let store = Store::new(VehicleId::new(&config.id)?);
+    /// - `store`, `reloaded`: what is held from before, of which the node has not heard yet.
+    pub fn open(
+        config: &VehicleConfig,
+        mut node: Node,
+        (store, reloaded): (Store, Vec<Reloaded>),
+        inbox: Inbox,
+    ) -> anyhow::Result<Self> {
+        for kept in node.recall(reloaded) {
+            store.hold(kept);
+        }
         let link = Link::open(&config.id, &config.zenoh, Arc::new(store.clone()), inbox)?;
         Ok(Self {
             node,
@@ -142,7 +150,7 @@ impl Vehicle {
     fn execute(&mut self, effects: Vec<Effect>) -> anyhow::Result<()> {
         for effect in effects {
             match effect {
-                Effect::Keep(kept) => self.store.keep(kept),
+                Effect::Keep(kept) => self.store.keep(kept)?,
                 Effect::Publish {
                     class,
                     key,
@@ -161,9 +169,8 @@ impl Vehicle {
     /// Leaves the network and writes what is only known at the end.
     pub fn finish(mut self) -> anyhow::Result<VehicleSummary> {
         let summary = self.summary();
-        let enu_from_map = self.node.enu_from_map(self.now);
-        self.outputs
-            .write_final(&self.node, enu_from_map.as_ref(), &summary)?;
+        self.outputs.write_final(&self.node, &summary)?;
+        self.store.close()?;
         self.link.close(CLOSE_PATIENCE);
         Ok(summary)
     }

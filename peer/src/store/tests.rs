@@ -41,7 +41,7 @@ fn store() -> Store {
             descriptor: [1; 32],
         };
         let chunk = Chunk::new(header, &[point]).unwrap();
-        store.keep(Kept::Chunk(id, Arc::from(encode(&chunk))));
+        store.hold(Kept::Chunk(id, Arc::from(encode(&chunk))));
         let east_m = 1.0 + 10.0 * f64::from(number.0);
         let translation = Vector3::new(east_m, 0.0, 0.0);
         placements.push(ChunkPlacement {
@@ -49,8 +49,8 @@ fn store() -> Store {
             map_from_chunk: Similarity::new(1.0, UnitQuaternion::identity(), translation),
         });
     }
-    store.keep(Kept::Page(PlacementPage::new(map(), 0, 1, &placements)));
-    store.keep(Kept::Placement(Placement {
+    store.hold(Kept::Page(PlacementPage::new(map(), 0, 1, &placements)));
+    store.hold(Kept::Placement(Box::new(Placement {
         map: map(),
         revision: 2,
         captured_at: Timestamp::default(),
@@ -61,8 +61,8 @@ fn store() -> Store {
         reference: Reference::Fixed,
         provenance: Vec::new(),
         signature: Vec::new(),
-    }));
-    store.keep(Kept::Manifest(Manifest {
+    })));
+    store.hold(Kept::Manifest(Manifest {
         map: map(),
         revision: 1,
         datum: Datum::site("lab").unwrap(),
@@ -118,4 +118,37 @@ fn a_manifest_says_who_answers_and_what_that_one_holds() {
     assert_eq!(manifest.holder, vehicle("drone1"));
     assert_eq!(manifest.held.count(), 3);
     assert_eq!(manifest.chunks.count(), 10);
+}
+
+#[test]
+fn what_was_kept_is_there_after_a_crash_up_to_the_tear() {
+    let folder = tempfile::tempdir().unwrap();
+    let chunk = |number: u32| {
+        let question = format!("anchor/ugv1/map/1-0000000a/{number}");
+        let answers = store().answer(&Question::parse(&question).unwrap());
+        let id = ChunkId {
+            map: map(),
+            number: ChunkNumber(number),
+        };
+        Kept::Chunk(id, Arc::clone(&answers[0].payload))
+    };
+    let open = || Store::open(vehicle("drone1"), folder.path()).unwrap();
+    let (first, reloaded) = open();
+    assert!(reloaded.is_empty());
+    first.keep(chunk(0)).unwrap();
+    first.keep(chunk(1)).unwrap();
+    // Not closed, as after a crash, and the last message torn.
+    std::mem::forget(first);
+    let segment = folder.path().join("000000.mcap");
+    let bytes = std::fs::read(&segment).unwrap();
+    std::fs::write(&segment, &bytes[..bytes.len() - 5]).unwrap();
+    let (second, reloaded) = open();
+    let keys: Vec<String> = reloaded.iter().map(|one| one.key.to_string()).collect();
+    assert_eq!(keys, ["anchor/ugv1/map/1-0000000a/0"]);
+    second.keep(chunk(2)).unwrap();
+    second.close().unwrap();
+    let (_, reloaded) = open();
+    assert_eq!(reloaded.len(), 2);
+    std::fs::write(folder.path().join("000007.mcap"), b"foreign").unwrap();
+    assert_eq!(open().1.len(), 2);
 }

@@ -199,7 +199,7 @@ mod tests {
             client_idx: 1,
         };
         barrier.set_up(pair, false);
-        let mut tick = |barrier: &mut Barrier, number: u64, sent: Counted| {
+        let tick = |barrier: &mut Barrier, number: u64, sent: Counted| {
             barrier.begin(number);
             barrier.take_done(0, number, sent);
             barrier.take_done(1, number, [0, 1]);
