@@ -133,10 +133,9 @@ impl Vslam {
 
     /// The map with the most keyframes so far: the one worth keeping at the end.
     pub fn largest_map(&self) -> &VslamMap {
-        let earlier = self.earlier.iter();
-        earlier
-            .filter(|earlier| earlier.keyframe_count() > self.map.keyframe_count())
-            .last()
+        // Of equals the last one counts, which is the newest.
+        let maps = self.earlier.iter().chain([&self.map]);
+        maps.max_by_key(|map| map.keyframe_count())
             .unwrap_or(&self.map)
     }
 
