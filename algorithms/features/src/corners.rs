@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 
 use crate::plane::Plane;
-use crate::simd::{InstructionSet, multiversion};
+use crate::simd::{BLOCK, InstructionSet, block_at, block_starts, multiversion};
 
 /// A local maximum of the corner score.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -187,12 +187,32 @@ fn score_row_body(rows: &[&[u8]; 7], scores: &mut [u8]) {
     ]
     .map(|row| &row[..count]);
     let centre = &r3[3..3 + count];
-    for x in 0..count {
-        let p: [u8; 16] = std::array::from_fn(|idx| ring[idx][x]);
-        let brighter = arc_extreme(&p, u8::min, u8::max).saturating_sub(centre[x]);
-        let darker = centre[x].saturating_sub(arc_extreme(&p, u8::max, u8::min));
-        scores[x] = brighter.max(darker);
+    for start in block_starts(count) {
+        let ring = ring.map(|row| block_at(row, start));
+        let block = score_block(&ring, &block_at(centre, start));
+        scores[start..start + BLOCK].copy_from_slice(&block);
     }
+    if count < BLOCK {
+        for x in 0..count {
+            scores[x] = score(&ring.map(|row| row[x]), centre[x]);
+        }
+    }
+}
+
+#[inline(always)]
+fn score_block(ring: &[[u8; BLOCK]; 16], centre: &[u8; BLOCK]) -> [u8; BLOCK] {
+    let mut scores = [0; BLOCK];
+    for x in 0..BLOCK {
+        scores[x] = score(&ring.each_ref().map(|row| row[x]), centre[x]);
+    }
+    scores
+}
+
+#[inline(always)]
+fn score(ring: &[u8; 16], centre: u8) -> u8 {
+    let brighter = arc_extreme(ring, u8::min, u8::max).saturating_sub(centre);
+    let darker = centre.saturating_sub(arc_extreme(ring, u8::max, u8::min));
+    brighter.max(darker)
 }
 
 /// The `outer` extreme over all arcs of nine of the `inner` extreme within the arc.

@@ -40,7 +40,7 @@ impl Default for ExtractorSettings {
             scale_factor: 1.2,
             finest_scale: 1.0,
             corner_threshold: 20,
-            corner_threshold_min: 7,
+            corner_threshold_min: 10,
         }
     }
 }

@@ -96,6 +96,7 @@ fn sample_portable(plane: &Plane, grid: &Grid) -> Patch {
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     use std::arch::x86_64::*;
+    use std::mem::transmute;
 
     use super::{FRACTION_BITS, Grid, Patch, SIDE};
     use crate::plane::Plane;
@@ -118,11 +119,11 @@ mod avx2 {
                     _mm256_add_epi32(_mm256_set1_epi32(start), steps)
                 };
                 let (x, y) = (step(start_x, grid.along[0]), step(start_y, grid.along[1]));
-                // SAFETY: the caller keeps the samples inside; `first + 8` is at most `SIDE`.
-                unsafe {
-                    let block = blend(pixels, plane.stride() as i32, x, y);
-                    _mm256_storeu_ps(values.as_mut_ptr().add(first), block);
-                }
+                // SAFETY: the caller keeps the samples inside.
+                let block = unsafe { blend(pixels, plane.stride() as i32, x, y) };
+                // SAFETY: a vector is eight numbers.
+                let block = unsafe { transmute::<__m256, [f32; 8]>(block) };
+                values[first..first + 8].copy_from_slice(&block);
             }
         }
         patch

@@ -12,8 +12,8 @@ const UNIT: f32 = 4096.0;
 
 /// One hyperplane a bit: `weights · histogram > threshold`.
 struct Projection {
-    /// By pairs of bins, then bits, then the bin of the pair.
-    weights: [[[i8; 2]; BIT_COUNT]; BIN_COUNT / 2],
+    /// By blocks of bits, then pairs of bins, then the bit of the block and the bin of the pair.
+    weights: [[[[i8; 2]; BLOCK]; BIN_COUNT / 2]; BIT_COUNT / BLOCK],
     thresholds: [i32; BIT_COUNT],
 }
 
@@ -21,13 +21,13 @@ static PROJECTION: Projection = load(include_bytes!("projection.bin"));
 
 const fn load(bytes: &[u8; BIN_COUNT * BIT_COUNT + 4 * BIT_COUNT]) -> Projection {
     let mut projection = Projection {
-        weights: [[[0; 2]; BIT_COUNT]; BIN_COUNT / 2],
+        weights: [[[[0; 2]; BLOCK]; BIN_COUNT / 2]; BIT_COUNT / BLOCK],
         thresholds: [0; BIT_COUNT],
     };
     let mut idx = 0;
     while idx < BIN_COUNT * BIT_COUNT {
         let (bin, bit) = (idx / BIT_COUNT, idx % BIT_COUNT);
-        projection.weights[bin / 2][bit][bin % 2] = bytes[idx] as i8;
+        projection.weights[bit / BLOCK][bin / 2][bit % BLOCK][bin % 2] = bytes[idx] as i8;
         idx += 1;
     }
     let mut bit = 0;
@@ -59,9 +59,9 @@ fn binarise_portable(bins: &[[i16; 2]; BIN_COUNT / 2]) -> Descriptor {
     let mut words = [0; 4];
     for (block, word) in words.iter_mut().enumerate() {
         let mut sums = [0_i32; BLOCK];
-        for (pair, weights) in bins.iter().zip(&PROJECTION.weights) {
+        for (pair, weights) in bins.iter().zip(&PROJECTION.weights[block]) {
             let [first, second] = pair.map(i32::from);
-            for (sum, weights) in sums.iter_mut().zip(&weights[block * BLOCK..][..BLOCK]) {
+            for (sum, weights) in sums.iter_mut().zip(weights) {
                 *sum += first * i32::from(weights[0]) + second * i32::from(weights[1]);
             }
         }
@@ -76,10 +76,13 @@ fn binarise_portable(bins: &[[i16; 2]; BIN_COUNT / 2]) -> Descriptor {
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     use std::arch::x86_64::*;
+    use std::mem::transmute;
 
     use super::{BIN_COUNT, BLOCK, PROJECTION};
     use crate::Descriptor;
 
+    /// Vectors are copied by value: the load instructions' functions check their pointers in debug
+    /// builds, which the demo runs in.
     const LANES: usize = 8;
 
     #[target_feature(enable = "avx2")]
@@ -87,21 +90,22 @@ mod avx2 {
         let mut words = [0; 4];
         for (block, word) in words.iter_mut().enumerate() {
             let mut sums = [_mm256_setzero_si256(); BLOCK / LANES];
-            for (pair, weights) in bins.iter().zip(&PROJECTION.weights) {
+            for (pair, weights) in bins.iter().zip(&PROJECTION.weights[block]) {
                 let both = u32::from(pair[0] as u16) | u32::from(pair[1] as u16) << 16;
                 let pair = _mm256_set1_epi32(both as i32);
-                let weights = weights[block * BLOCK..][..BLOCK].as_ptr();
-                for (idx, sum) in sums.iter_mut().enumerate() {
-                    // SAFETY: the slice holds `BLOCK` pairs, eight of them from `LANES * idx` on.
-                    let bytes = unsafe { _mm_loadu_si128(weights.add(LANES * idx).cast()) };
+                for (sum, weights) in sums.iter_mut().zip(weights.as_chunks::<LANES>().0) {
+                    // SAFETY: any 16 bytes are a vector.
+                    let bytes = unsafe { transmute::<[[i8; 2]; LANES], __m128i>(*weights) };
                     let product = _mm256_madd_epi16(_mm256_cvtepi8_epi16(bytes), pair);
                     *sum = _mm256_add_epi32(*sum, product);
                 }
             }
-            let thresholds = PROJECTION.thresholds[block * BLOCK..][..BLOCK].as_ptr();
-            for (idx, sum) in sums.iter().enumerate() {
-                // SAFETY: the slice holds `BLOCK` thresholds, eight from `LANES * idx` on.
-                let limit = unsafe { _mm256_loadu_si256(thresholds.add(LANES * idx).cast()) };
+            let thresholds = PROJECTION.thresholds[block * BLOCK..]
+                .as_chunks::<LANES>()
+                .0;
+            for (idx, (sum, limits)) in sums.iter().zip(thresholds).enumerate() {
+                // SAFETY: any 32 bytes are a vector.
+                let limit = unsafe { transmute::<[i32; LANES], __m256i>(*limits) };
                 let above = _mm256_castsi256_ps(_mm256_cmpgt_epi32(*sum, limit));
                 let bits = _mm256_movemask_ps(above) as u32;
                 *word |= u64::from(bits) << (LANES * idx);

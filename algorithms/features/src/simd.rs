@@ -92,3 +92,27 @@ macro_rules! multiversion {
     };
 }
 pub(crate) use multiversion;
+
+/// Bytes that the loops of this crate take at once.
+pub(crate) const BLOCK: usize = 32;
+
+/// Starts of blocks of [`BLOCK`] that cover `0..count`, the last overlapping the one before, so
+/// that no remainder is left for slow code; none if the range is shorter than a block.
+#[inline(always)]
+pub(crate) fn block_starts(count: usize) -> impl Iterator<Item = usize> {
+    let last = count.checked_sub(BLOCK);
+    let block_count = if last.is_some() {
+        count.div_ceil(BLOCK)
+    } else {
+        0
+    };
+    (0..block_count).map(move |idx| (idx * BLOCK).min(last.unwrap_or(0)))
+}
+
+/// The block that starts here.
+#[inline(always)]
+pub(crate) fn block_at(row: &[u8], start: usize) -> [u8; BLOCK] {
+    *row[start..]
+        .first_chunk()
+        .expect("blocks end inside the range they cover")
+}

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::simd::InstructionSet;
 use crate::{Extractor, ExtractorSettings, FeatureGrid, Features, Keypoint, matching};
 
-/// A smooth random texture with waves of 7 to 70 px, grey values about 128 ± 36, defined everywhere.
+/// A random texture of waves of 7 to 70 px, about 128 ± 36, defined everywhere.
 pub(crate) fn smooth_texture(x: f64, y: f64) -> f64 {
     let mut value = 128.0;
     let mut state = 7_u64;
