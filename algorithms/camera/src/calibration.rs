@@ -179,7 +179,12 @@ fn read_rigid(data: &[f64]) -> Result<Transform<Body, Camera>, CalibrationError>
     if error.is_nan() || error >= 1e-2 || !translation.iter().all(|value| value.is_finite()) {
         return Err(CalibrationError::NotRigid { error });
     }
-    let rotation = UnitQuaternion::from_matrix(&linear);
+    // The nearest rotation in closed form: nalgebra's iterative `from_matrix` stays where it
+    // starts for rotations by a half turn.
+    let svd = linear.svd(true, true);
+    let nearest = svd.u.unwrap_or_default() * svd.v_t.unwrap_or_default();
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(nearest));
     Ok(Transform::new(rotation, translation))
 }
 
