@@ -2,6 +2,7 @@
 
 pub mod control;
 mod input;
+mod interrupt;
 mod outputs;
 mod paced;
 mod summary;
@@ -69,7 +70,9 @@ pub fn fly(
         endpoints: vehicle.endpoints(),
         first_captured_at_ns: source.first_captured_at().map(Timestamp::nanoseconds),
     });
-    if supervision != Supervision::None {
+    if supervision == Supervision::None {
+        interrupt::listen();
+    } else {
         let sender = sender.clone();
         std::thread::spawn(move || control::read_orders(&sender));
     }
@@ -97,6 +100,9 @@ fn run_free(
     let mut newest = (Timestamp::default(), Instant::now());
     loop {
         let arrival = arrivals.recv_timeout(TICK).ok();
+        if interrupt::wished() {
+            return Ok(());
+        }
         // The vehicle's clock is the camera's, carried on by the wall between frames.
         let now = newest.0.after(newest.1.elapsed());
         match arrival {

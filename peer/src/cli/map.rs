@@ -42,7 +42,7 @@ pub struct MapSummary {
     pub epoch: String,
     pub revision: Option<u32>,
     pub datum: Option<String>,
-    /// Chunks that exist, by the newest manifest.
+    /// Chunks that exist, as far as those who answered know.
     pub chunk_count: Option<u64>,
     /// Chunks that somebody who answered holds.
     pub held_count: Option<u64>,

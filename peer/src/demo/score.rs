@@ -1,13 +1,12 @@
 //! What the flight was worth: read from the files after everybody has ended.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::Context;
 use geometry::Enu;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use crate::evaluate::{BaselineSettings, VehicleRecord, VehicleScore, judge};
-use crate::files::{StampedPose, read_cloud, read_tum};
+use crate::files::{StampedPose, read_cloud, read_covariances, read_tum};
 use crate::plot::Realignment;
 use crate::process::VehicleSummary;
 
@@ -17,6 +16,7 @@ pub fn score(folder: &Path, summary: &VehicleSummary, seed: u64) -> anyhow::Resu
     let truth = read_tum(&path("truth.tum"))?;
     let causal = read_tum(&path("tum"))?;
     let covariances = read_covariances(&path("cov.csv"))?;
+    let covariances: Vec<Matrix3<f64>> = covariances.into_iter().map(|(_, one)| one).collect();
     let corrected = read_tum(&path("final.tum"))?;
     let own = read_tum(&path("own.tum"))?;
     let record = VehicleRecord {
@@ -32,24 +32,6 @@ pub fn score(folder: &Path, summary: &VehicleSummary, seed: u64) -> anyhow::Resu
         ..BaselineSettings::default()
     };
     Ok(judge(&record, &settings))
-}
-
-fn read_covariances(path: &PathBuf) -> anyhow::Result<Vec<Matrix3<f64>>> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let rows = text.lines().skip(1).map(|line| {
-        let numbers: Vec<f64> = line
-            .split(',')
-            .skip(1)
-            .map(str::parse)
-            .collect::<Result<_, _>>()
-            .with_context(|| format!("no covariance: {line:?} in {}", path.display()))?;
-        let &[xx, xy, xz, yy, yz, zz] = numbers.as_slice() else {
-            anyhow::bail!("no covariance: {line:?} in {}", path.display());
-        };
-        Ok(Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz))
-    });
-    rows.collect()
 }
 
 /// Before and after registration, in the manner of the paper's Fig. 10. Before is the rough start

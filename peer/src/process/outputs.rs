@@ -9,7 +9,10 @@ use geometry::{Map, Timestamp};
 use vslam::MapId;
 
 use super::VehicleSummary;
-use crate::files::{PointCloud, StampedPose, format_tum_line, write_cloud, write_tum};
+use crate::files::{
+    COVARIANCE_HEADER, PointCloud, StampedPose, format_covariance_line, format_tum_line,
+    write_cloud, write_tum,
+};
 use crate::node::{FramePose, GlobalFramePose, Node, Status};
 use crate::recorder::{Recorder, Stamp};
 
@@ -28,7 +31,7 @@ pub struct Outputs {
 impl Outputs {
     pub fn create(folder: &Path, id: &str) -> anyhow::Result<Self> {
         let mut covariances = create(folder, &format!("{id}.cov.csv"))?;
-        writeln!(covariances, "timestamp,xx,xy,xz,yy,yz,zz")?;
+        writeln!(covariances, "{COVARIANCE_HEADER}")?;
         Ok(Self {
             folder: folder.to_owned(),
             id: id.to_owned(),
@@ -64,7 +67,7 @@ impl Outputs {
         };
         let GlobalFramePose {
             enu_from_camera,
-            position_covariance: p,
+            position_covariance: covariance,
             enu_from_body,
             body_covariance,
         } = global;
@@ -73,19 +76,15 @@ impl Outputs {
             captured_at: pose.captured_at,
         };
         let topic = format!("/{}/pose", self.id);
-        let covariance = Some(body_covariance);
         self.recorder
-            .record_pose(&topic, stamp, enu_from_body, covariance)?;
+            .record_pose(&topic, stamp, enu_from_body, Some(body_covariance))?;
         let line = format_tum_line(&StampedPose {
             captured_at: pose.captured_at,
             target_from_camera: *enu_from_camera,
         });
         writeln!(self.trajectory, "{line}")?;
-        writeln!(
-            self.covariances,
-            "{},{:e},{:e},{:e},{:e},{:e},{:e}",
-            pose.captured_at, p.m11, p.m12, p.m13, p.m22, p.m23, p.m33
-        )?;
+        let line = format_covariance_line(pose.captured_at, covariance);
+        writeln!(self.covariances, "{line}")?;
         // Whoever looks on, or finds the files after a crash, sees whole lines.
         self.trajectory.flush()?;
         self.covariances.flush()?;

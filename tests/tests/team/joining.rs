@@ -104,6 +104,13 @@ fn an_outside_client_lists_maps_and_exports_points() {
     });
     assert!(exported && cloud.metadata().unwrap().len() > 1000);
     list_with_python(&anchor.endpoint);
+    // Ended by hand, it leaves everything behind that it would at the end of its recording.
+    anchor.interrupt();
+    anchor.wait(PATIENCE);
+    let anchor = summary(folder.path(), "anchor1");
+    assert_eq!(anchor["state"], "Global", "{anchor}");
+    let corrected = std::fs::read_to_string(folder.path().join("anchor1.final.tum")).unwrap();
+    assert!(corrected.lines().count() > 10);
 }
 
 /// The same from Python, where it is there with what it needs.

@@ -2,6 +2,11 @@
 //!
 //! Recordings are rendered once, from the simulator's lab; no test needs data from outside.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "in a test, and in what helps tests, a panic is the failure"
+)]
+
 mod clock;
 mod joining;
 mod outage;

@@ -70,6 +70,11 @@ impl Vehicle {
         Self { child, endpoint }
     }
 
+    /// Asks it to end, as Ctrl-C does.
+    pub fn interrupt(&self) {
+        succeed(Command::new("kill").args(["-INT", &self.child.id().to_string()]));
+    }
+
     /// Waits until it ends by itself.
     pub fn wait(mut self, patience: Duration) {
         let deadline = Instant::now() + patience;

@@ -134,7 +134,12 @@ impl Parts {
             epoch: map.epoch.to_string(),
             revision: manifest.map(|manifest| manifest.revision),
             datum: manifest.map(|manifest| manifest.datum.to_string()),
-            chunk_count: manifest.map(|manifest| manifest.chunks.count()),
+            // A holder may have chunks that are newer than the newest manifest.
+            chunk_count: manifest.map(|manifest| {
+                let mut chunks = manifest.chunks.clone();
+                chunks.unite(&self.held);
+                chunks.count()
+            }),
             held_count: manifest.map(|_| self.held.count()),
             holders: self.holders.iter().cloned().collect(),
             bounding_box_m: manifest
