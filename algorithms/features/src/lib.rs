@@ -18,7 +18,7 @@ mod simd;
 mod spread;
 
 pub use descriptor::Descriptor;
-pub use extractor::{Extractor, ExtractorSettings, stages};
+pub use extractor::{Extractor, ExtractorSettings};
 pub use grid::FeatureGrid;
 pub use keypoint::{Features, Keypoint};
 
