@@ -26,8 +26,10 @@ enum Stream {
         floor: Counted,
     },
     Cut,
-    /// The link may work again; it counts once the newest notice has come through.
-    Healing,
+    /// The link may work again; it counts once a notice beyond this number has come through.
+    Healing {
+        notice_before: u64,
+    },
 }
 
 impl Barrier {
@@ -107,8 +109,8 @@ impl Barrier {
         for (sender_idx, receiver_idx) in late {
             let (sender, receiver) = (&self.ids[sender_idx], &self.ids[receiver_idx]);
             tracing::warn!(sender, receiver, "messages are late; going on without them");
-            self.streams
-                .insert((sender_idx, receiver_idx), Stream::Healing);
+            let stream = self.healing(sender_idx);
+            self.streams.insert((sender_idx, receiver_idx), stream);
         }
         self.open_request_count.fill(0);
         self.stalled = true;
@@ -120,10 +122,15 @@ impl Barrier {
 
     /// The link was cut, or is healed.
     pub fn set_up(&mut self, pair: LinkPair, up: bool) {
-        let stream = if up { Stream::Healing } else { Stream::Cut };
         let (a, b) = (pair.server_idx, pair.client_idx);
-        self.streams.insert((a, b), stream);
-        self.streams.insert((b, a), stream);
+        for (sender_idx, receiver_idx) in [(a, b), (b, a)] {
+            let stream = if up {
+                self.healing(sender_idx)
+            } else {
+                Stream::Cut
+            };
+            self.streams.insert((sender_idx, receiver_idx), stream);
+        }
     }
 
     fn heard_from(&self, sender_idx: usize, receiver_idx: usize) -> Counted {
@@ -131,15 +138,21 @@ impl Barrier {
         heard.copied().unwrap_or_default()
     }
 
+    fn healing(&self, sender_idx: usize) -> Stream {
+        Stream::Healing {
+            notice_before: self.sent[sender_idx][1],
+        }
+    }
+
     fn notice_healed(&mut self) {
-        let healing = self.streams.iter();
-        let healing = healing.filter(|(_, stream)| **stream == Stream::Healing);
-        let healed: Vec<(usize, usize)> = healing
-            .map(|(pair, _)| *pair)
-            .filter(|(sender_idx, receiver_idx)| {
-                self.heard_from(*sender_idx, *receiver_idx)[1] >= self.sent[*sender_idx][1]
-            })
-            .collect();
+        let healed = self.streams.iter().filter_map(|(pair, stream)| {
+            let Stream::Healing { notice_before } = *stream else {
+                return None;
+            };
+            let (sent, heard) = (self.sent[pair.0][1], self.heard_from(pair.0, pair.1)[1]);
+            (heard > notice_before && heard >= sent).then_some(*pair)
+        });
+        let healed: Vec<(usize, usize)> = healed.collect();
         for pair in healed {
             let floor = self.sent[pair.0];
             self.streams.insert(pair, Stream::Up { floor });
@@ -214,11 +227,13 @@ mod tests {
             tick(&mut barrier, 2, [6, 4]),
             "it may take a while to come back"
         );
+        heard(&mut barrier, 1, "a", [0, 4]);
+        assert!(tick(&mut barrier, 2, [7, 5]), "what is old shows nothing");
         heard(&mut barrier, 1, "a", [0, 5]);
         assert!(
-            tick(&mut barrier, 3, [6, 5]),
+            tick(&mut barrier, 3, [7, 5]),
             "what was lost before is not waited for"
         );
-        assert!(!tick(&mut barrier, 4, [7, 5]), "what is sent now is");
+        assert!(!tick(&mut barrier, 4, [8, 5]), "what is sent now is");
     }
 }
