@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 
 use crate::plane::Plane;
-use crate::simd::{BLOCK, InstructionSet, block_at, block_starts, multiversion};
+use crate::simd::{BLOCK, InstructionSet, multiversion};
 
 /// A local maximum of the corner score.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -158,76 +158,101 @@ impl CornerFinder {
     }
 }
 
-multiversion! {
-    fn score_row(rows: &[&[u8]; 7], scores: &mut [u8]) = score_row_body
-}
-
-#[inline(always)]
-fn score_row_body(rows: &[&[u8]; 7], scores: &mut [u8]) {
+/// Writes the score of each pixel of the middle row, but for three at each end.
+fn score_row(instructions: InstructionSet, rows: &[&[u8]; 7], scores: &mut [u8]) {
     let count = scores.len();
     let [r0, r1, r2, r3, r4, r5, r6] = rows.map(|row| &row[..count + 6]);
-    // The ring clockwise from the top, each slice shifted so that index 0 is its first neighbour.
-    let ring: [&[u8]; 16] = [
-        &r0[3..],
-        &r0[4..],
-        &r1[5..],
-        &r2[6..],
-        &r3[6..],
-        &r4[6..],
-        &r5[5..],
-        &r6[4..],
-        &r6[3..],
-        &r6[2..],
-        &r5[1..],
-        r4,
-        r3,
-        r2,
-        &r1[1..],
-        &r0[2..],
-    ]
-    .map(|row| &row[..count]);
+    // Clockwise from the top; index 0 of each slice is a neighbour of the first centre.
+    #[rustfmt::skip]
+    let ring: [&[u8]; RING] = [
+        &r0[3..], &r0[4..], &r1[5..], &r2[6..], &r3[6..], &r4[6..], &r5[5..], &r6[4..],
+        &r6[3..], &r6[2..], &r5[1..], r4, r3, r2, &r1[1..], &r0[2..],
+    ].map(|row| &row[..count]);
     let centre = &r3[3..3 + count];
-    for start in block_starts(count) {
-        let ring = ring.map(|row| block_at(row, start));
-        let block = score_block(&ring, &block_at(centre, start));
-        scores[start..start + BLOCK].copy_from_slice(&block);
+    #[cfg(target_arch = "x86_64")]
+    if instructions.has_avx2() && count >= BLOCK {
+        // SAFETY: AVX2 was detected.
+        return unsafe { avx2::score_row(&ring, centre, scores) };
     }
-    if count < BLOCK {
-        for x in 0..count {
-            scores[x] = score(&ring.map(|row| row[x]), centre[x]);
-        }
-    }
+    let _ = instructions;
+    score_row_portable(&ring, centre, scores);
 }
 
-#[inline(always)]
-fn score_block(ring: &[[u8; BLOCK]; 16], centre: &[u8; BLOCK]) -> [u8; BLOCK] {
-    let mut scores = [0; BLOCK];
-    for x in 0..BLOCK {
-        scores[x] = score(&ring.each_ref().map(|row| row[x]), centre[x]);
-    }
-    scores
-}
+/// Pixels on the ring.
+const RING: usize = 16;
 
-#[inline(always)]
-fn score(ring: &[u8; 16], centre: u8) -> u8 {
-    let brighter = arc_extreme(ring, u8::min, u8::max).saturating_sub(centre);
-    let darker = centre.saturating_sub(arc_extreme(ring, u8::max, u8::min));
-    brighter.max(darker)
-}
-
-/// The `outer` extreme over all arcs of nine of the `inner` extreme within the arc.
+/// The `$outer` extreme over all arcs of nine pixels of the `$inner` extreme within the arc.
 ///
 /// Two arcs that start side by side share eight pixels, so eight windows of eight do for all 16.
-#[inline(always)]
-fn arc_extreme(p: &[u8; 16], inner: fn(u8, u8) -> u8, outer: fn(u8, u8) -> u8) -> u8 {
-    let twos: [u8; 8] = std::array::from_fn(|i| inner(p[2 * i + 1], p[(2 * i + 2) % 16]));
-    let fours: [u8; 8] = std::array::from_fn(|i| inner(twos[i], twos[(i + 1) % 8]));
-    let nines: [u8; 8] = std::array::from_fn(|i| {
-        let eight = inner(fours[i], fours[(i + 2) % 8]);
-        inner(eight, outer(p[2 * i], p[(2 * i + 9) % 16]))
-    });
-    let halves: [u8; 4] = std::array::from_fn(|i| outer(nines[2 * i], nines[2 * i + 1]));
-    outer(outer(halves[0], halves[1]), outer(halves[2], halves[3]))
+/// For bytes and for vectors of bytes alike.
+macro_rules! arc_extreme {
+    ($ring:expr, $inner:path, $outer:path) => {{
+        let p = $ring;
+        let (mut twos, mut fours, mut extreme) = ([p[0]; 8], [p[0]; 8], p[0]);
+        for i in 0..8 {
+            twos[i] = $inner(p[2 * i + 1], p[(2 * i + 2) % RING]);
+        }
+        for i in 0..8 {
+            fours[i] = $inner(twos[i], twos[(i + 1) % 8]);
+        }
+        for i in 0..8 {
+            let eight = $inner(fours[i], fours[(i + 2) % 8]);
+            let nine = $inner(eight, $outer(p[2 * i], p[(2 * i + 9) % RING]));
+            extreme = if i == 0 { nine } else { $outer(extreme, nine) };
+        }
+        extreme
+    }};
+}
+
+fn score_row_portable(ring: &[&[u8]; RING], centre: &[u8], scores: &mut [u8]) {
+    for x in 0..scores.len() {
+        let mut p = [0_u8; RING];
+        for idx in 0..RING {
+            p[idx] = ring[idx][x];
+        }
+        let brighter = arc_extreme!(&p, u8::min, u8::max).saturating_sub(centre[x]);
+        let darker = centre[x].saturating_sub(arc_extreme!(&p, u8::max, u8::min));
+        scores[x] = brighter.max(darker);
+    }
+}
+
+/// Written out, because compilers vectorise the loop above only on good days: 0.25 ms or 4 ms for
+/// all levels of a 324×244 image.
+#[cfg(target_arch = "x86_64")]
+mod avx2 {
+    use std::arch::x86_64::*;
+    use std::mem::transmute;
+
+    use super::RING;
+    use crate::simd::{BLOCK, block_at, block_starts};
+
+    /// Rows must be at least a block long.
+    #[target_feature(enable = "avx2")]
+    pub(super) fn score_row(ring: &[&[u8]; RING], centre: &[u8], scores: &mut [u8]) {
+        for start in block_starts(scores.len()) {
+            let mut p = [_mm256_setzero_si256(); RING];
+            for idx in 0..RING {
+                p[idx] = load(ring[idx], start);
+            }
+            let centre = load(centre, start);
+            let brightest = arc_extreme!(&p, _mm256_min_epu8, _mm256_max_epu8);
+            let darkest = arc_extreme!(&p, _mm256_max_epu8, _mm256_min_epu8);
+            let block = _mm256_max_epu8(
+                _mm256_subs_epu8(brightest, centre),
+                _mm256_subs_epu8(centre, darkest),
+            );
+            // SAFETY: a vector is 32 bytes.
+            let block = unsafe { transmute::<__m256i, [u8; BLOCK]>(block) };
+            scores[start..start + BLOCK].copy_from_slice(&block);
+        }
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx2")]
+    fn load(row: &[u8], start: usize) -> __m256i {
+        // SAFETY: any 32 bytes are a vector.
+        unsafe { transmute::<[u8; BLOCK], __m256i>(block_at(row, start)) }
+    }
 }
 
 multiversion! {
