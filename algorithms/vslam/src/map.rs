@@ -5,6 +5,7 @@ mod covisibility;
 mod edit;
 mod ids;
 mod keyframe;
+mod place;
 mod point;
 
 use std::collections::BTreeMap;
@@ -15,7 +16,8 @@ pub use point::{MapPoint, View};
 
 use arena::Arena;
 pub(crate) use edit::NewPoint;
-use geometry::{Camera, Map, Transform};
+use place::CulledKeyframe;
+pub(crate) use place::Place;
 
 /// Keyframes and points in one frame of reference of unknown scale.
 #[derive(Clone, Debug)]
@@ -26,12 +28,6 @@ pub struct VslamMap {
     points: Arena<MapPoint>,
     /// Where culled keyframes stand, relative to the keyframe that took over.
     culled: BTreeMap<KeyframeId, CulledKeyframe>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct CulledKeyframe {
-    heir: KeyframeId,
-    camera_from_heir: Transform<Camera, Camera>,
 }
 
 impl VslamMap {
@@ -97,32 +93,5 @@ impl VslamMap {
 
     pub(crate) fn point_mut(&mut self, id: PointId) -> Option<&mut MapPoint> {
         self.points.get_mut(id.0)
-    }
-
-    /// The keyframe that stands for this one: itself, or its heir if it was culled, and where the
-    /// camera was relative to that.
-    pub(crate) fn resolve(
-        &self,
-        id: KeyframeId,
-    ) -> Option<(KeyframeId, Transform<Camera, Camera>)> {
-        let mut holder = id;
-        let mut camera_from_holder = Transform::identity();
-        while self.keyframe(holder).is_none() {
-            let culled = self.culled.get(&holder)?;
-            camera_from_holder = camera_from_holder * culled.camera_from_heir;
-            holder = culled.heir;
-        }
-        Some((holder, camera_from_holder))
-    }
-
-    /// The pose of a camera that is known relative to a keyframe, culled or not.
-    pub(crate) fn camera_from_map(
-        &self,
-        id: KeyframeId,
-        camera_from_keyframe: &Transform<Camera, Camera>,
-    ) -> Option<Transform<Camera, Map>> {
-        let (holder, keyframe_from_holder) = self.resolve(id)?;
-        let holder_from_map = self.keyframe(holder)?.camera_from_map;
-        Some(*camera_from_keyframe * keyframe_from_holder * holder_from_map)
     }
 }

@@ -60,9 +60,8 @@ impl Mapper {
         }
         refresh_points_of(map, id);
         cull_points::cull(map, &mut self.recent, id);
-        let neighbours = update_neighbours(map, id);
-        self.recent
-            .extend(grow::triangulate_new(optics, map, id, &neighbours));
+        self.recent.extend(grow::triangulate_new(optics, map, id));
+        update_neighbours(map, id);
         fuse::fuse_with_neighbours(optics, map, id);
         refresh_points_of(map, id);
         update_neighbours(map, id);
@@ -104,21 +103,18 @@ fn refresh_points_of(map: &mut VslamMap, id: KeyframeId) {
     }
 }
 
-/// Renews the memory of who is near, for a keyframe and those near it; returns its own, the
-/// nearest first.
-pub(crate) fn update_neighbours(map: &mut VslamMap, id: KeyframeId) -> Vec<KeyframeId> {
-    let mut nearest = nearest_keyframes(map, id);
-    for neighbour in nearest.clone() {
+/// Renews the memory of who is near, for a keyframe and those near it.
+pub(crate) fn update_neighbours(map: &mut VslamMap, id: KeyframeId) {
+    let nearest = nearest_keyframes(map, id);
+    for &neighbour in &nearest {
         let theirs = nearest_keyframes(map, neighbour);
         if let Some(keyframe) = map.keyframe_mut(neighbour) {
             keyframe.neighbours = theirs;
         }
     }
     if let Some(keyframe) = map.keyframe_mut(id) {
-        keyframe.neighbours.clone_from(&nearest);
+        keyframe.neighbours = nearest;
     }
-    nearest.truncate(NEIGHBOURS_MAX);
-    nearest
 }
 
 fn nearest_keyframes(map: &VslamMap, id: KeyframeId) -> Vec<KeyframeId> {

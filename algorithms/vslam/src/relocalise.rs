@@ -27,7 +27,7 @@ pub(crate) fn locate_near(
     frame: &mut Frame,
     rng: &mut ChaCha8Rng,
 ) -> Option<Transform<Camera, Map>> {
-    let (holder, _) = map.resolve(keyframe)?;
+    let holder = map.holder(keyframe)?;
     let mut places = vec![holder];
     places.extend(map.keyframe(holder)?.neighbours.iter().take(NEIGHBOURS));
     let points = map.points_of(&places);

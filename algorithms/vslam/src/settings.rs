@@ -17,7 +17,7 @@ impl Default for VslamSettings {
     fn default() -> Self {
         Self {
             feature_count: None,
-            keypoint_sigma_px: 1.0,
+            keypoint_sigma_px: 0.9,
             seed: 1,
         }
     }

@@ -209,8 +209,10 @@ impl Vslam {
             .expect("it was there a line ago");
         let motion = Motion::starting_at(TrackedFrame {
             captured_at,
-            keyframe,
-            camera_from_keyframe: geometry::Transform::identity(),
+            place: self
+                .map
+                .place(keyframe, &camera_from_map)
+                .expect("the keyframe is in the map"),
             points: tracked_points(last.observations()),
         });
         self.mode = Mode::Following {
@@ -255,14 +257,12 @@ impl Vslam {
         }
     }
 
-    fn accept(&mut self, frame: Frame, tracked: Tracked) -> Outcome {
+    fn accept(&mut self, frame: Frame, mut tracked: Tracked) -> Outcome {
         let Mode::Following { motion, clock } = &mut self.mode else {
             unreachable!("called only while following");
         };
         let captured_at = frame.captured_at;
-        let was_lost = motion.missed_count > 0;
-        let mut next = TrackedFrame::new(&frame, &self.map, &tracked);
-        let mut tracked = tracked;
+        let mut points = tracked_points(&frame.observations);
         let mut insertion = None;
         if wants_keyframe(&self.map, clock, &frame, &tracked) {
             let pose = (tracked.camera_from_map, tracked.reference);
@@ -271,21 +271,24 @@ impl Vslam {
                 .map
                 .keyframe(inserted.keyframe)
                 .expect("the newest keyframe is never culled");
-            next.keyframe = inserted.keyframe;
-            next.camera_from_keyframe = geometry::Transform::identity();
-            next.points = tracked_points(keyframe.observations());
+            points = tracked_points(keyframe.observations());
             tracked.camera_from_map = *keyframe.camera_from_map();
             tracked.reference = inserted.keyframe;
-            *clock = KeyframeClock {
-                last_keyframe_at: captured_at,
-            };
+            clock.last_keyframe_at = captured_at;
             insertion = Some(inserted);
         }
-        if was_lost {
-            *motion = Motion::starting_at(next);
-        } else {
-            motion.advance(&self.map, next);
-        }
+        let place = self
+            .map
+            .place(tracked.reference, &tracked.camera_from_map)
+            .expect("the reference is in the map");
+        motion.advance(
+            &self.map,
+            TrackedFrame {
+                captured_at,
+                place,
+                points,
+            },
+        );
         Outcome {
             state: TrackingState::Tracking,
             tracked: Some(tracked),
@@ -326,11 +329,9 @@ impl Vslam {
     ) -> FrameReport {
         let frame_idx = self.trajectory.len() as u64;
         let tracked = outcome.tracked;
-        let place = tracked.as_ref().and_then(|tracked| {
-            let reference = *self.map.keyframe(tracked.reference)?.camera_from_map();
-            let relative = tracked.camera_from_map * reference.inverse();
-            Some((tracked.reference, relative))
-        });
+        let place = tracked
+            .as_ref()
+            .and_then(|tracked| self.map.place(tracked.reference, &tracked.camera_from_map));
         self.trajectory.push(FrameRecord {
             captured_at,
             map_id: self.map.id(),

@@ -21,9 +21,9 @@ const MATCHES_MIN: usize = 60;
 const REFERENCE_AGE_MAX_S: f64 = 4.0;
 /// A map starts with at least this many points.
 const POINTS_MIN: usize = 50;
-/// Median angle between the two rays of a point: 2°, and what the noise needs.
-const PARALLAX_RAD_MIN: f64 = 0.035;
-const PARALLAX_SIGMAS_MIN: f64 = 10.0;
+/// Median angle between the two rays of a point: 2.5°, and what the noise needs.
+const PARALLAX_RAD_MIN: f64 = 0.044;
+const PARALLAX_SIGMAS_MIN: f64 = 6.0;
 /// Window around where a keypoint was seen last, pixels at a width of 640.
 const WINDOW_PX: f64 = 80.0;
 const GATE: Gate = Gate {
@@ -136,12 +136,11 @@ fn two_view(
             second: frame.observations[second].position,
         })
         .collect();
-    let mut sigmas: Vec<f64> = pairs
+    // That of the finest level: with more, little parallax would pass for a rotation.
+    let sigma = pairs
         .iter()
         .map(|&(_, second)| frame.observations[second].sigma)
-        .collect();
-    sigmas.sort_by(f64::total_cmp);
-    let sigma = sigmas[sigmas.len() / 2];
+        .fold(f64::INFINITY, f64::min);
     let settings = TwoViewSettings {
         sigma,
         point_count_min: POINTS_MIN,

@@ -16,6 +16,7 @@ pub(crate) use predict::Motion;
 pub(crate) use refine::refine;
 
 use crate::frame::Frame;
+use crate::map::Place;
 use crate::optics::Optics;
 use crate::relocalise::locate_near;
 use crate::{KeyframeId, LostReason, PointId, VslamMap};
@@ -29,8 +30,7 @@ const FIRST_INLIERS_MIN: usize = 12;
 #[derive(Clone, Debug)]
 pub(crate) struct TrackedFrame {
     pub(crate) captured_at: Timestamp,
-    pub(crate) keyframe: KeyframeId,
-    pub(crate) camera_from_keyframe: Transform<Camera, Camera>,
+    pub(crate) place: Place,
     pub(crate) points: Vec<TrackedPoint>,
 }
 
@@ -49,22 +49,6 @@ pub(crate) struct Tracked {
     pub(crate) inlier_count: usize,
     /// The keyframe that shares most points with the frame.
     pub(crate) reference: KeyframeId,
-}
-
-impl TrackedFrame {
-    pub(crate) fn new(frame: &Frame, map: &VslamMap, tracked: &Tracked) -> Self {
-        let keyframe_from_map = map
-            .keyframe(tracked.reference)
-            .map_or(tracked.camera_from_map, |keyframe| {
-                *keyframe.camera_from_map()
-            });
-        Self {
-            captured_at: frame.captured_at,
-            keyframe: tracked.reference,
-            camera_from_keyframe: tracked.camera_from_map * keyframe_from_map.inverse(),
-            points: tracked_points(&frame.observations),
-        }
-    }
 }
 
 /// The points that these observations show.
@@ -93,7 +77,7 @@ pub(crate) fn track(
         return Err(LostReason::FewKeypoints);
     }
     let first = track_by_motion(optics, map, motion, frame)
-        .or_else(|| locate_near(map, motion.last.keyframe, frame, rng))
+        .or_else(|| locate_near(map, motion.last.place.keyframe, frame, rng))
         .ok_or(LostReason::FewInliers)?;
     track_local_map(optics, map, frame, &first)
 }

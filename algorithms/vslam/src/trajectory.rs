@@ -1,15 +1,16 @@
 //! What is remembered of each frame.
 
-use geometry::{Camera, Timestamp, Transform};
+use geometry::Timestamp;
 
-use crate::{KeyframeId, MapId, TrajectoryEntry, VslamMap};
+use crate::map::Place;
+use crate::{MapId, TrajectoryEntry, VslamMap};
 
 /// A frame's place relative to a keyframe, so that it follows corrections of the map.
 #[derive(Clone, Debug)]
 pub(crate) struct FrameRecord {
     pub(crate) captured_at: Timestamp,
     pub(crate) map_id: MapId,
-    pub(crate) place: Option<(KeyframeId, Transform<Camera, Camera>)>,
+    pub(crate) place: Option<Place>,
 }
 
 impl FrameRecord {
@@ -23,7 +24,7 @@ impl FrameRecord {
         let camera_from_map = self
             .place
             .zip(map)
-            .and_then(|((keyframe, relative), map)| map.camera_from_map(keyframe, &relative));
+            .and_then(|(place, map)| map.pose(&place));
         TrajectoryEntry {
             frame_idx,
             captured_at: self.captured_at,

@@ -5,7 +5,8 @@
 use geometry::{Camera, Map, Transform};
 use nalgebra::{Matrix3, Vector3};
 
-use super::{CulledKeyframe, Keyframe, MapPoint, View, VslamMap};
+use super::place::CulledKeyframe;
+use super::{Keyframe, MapPoint, View, VslamMap};
 use crate::frame::Frame;
 use crate::optics::level_scale;
 use crate::{KeyframeId, PointId};
@@ -47,6 +48,7 @@ impl VslamMap {
             camera_from_map,
             observations,
             grid: frame.grid,
+            unit: 1.0,
             parent: None,
             neighbours: Vec::new(),
         });
@@ -164,36 +166,27 @@ impl VslamMap {
         }
     }
 
-    /// Removes a keyframe; its parent takes over its place in trajectories.
+    /// Removes a keyframe; the most covisible one takes over its place in trajectories.
     ///
     /// The first keyframe, which holds the map in place, stays.
     pub(crate) fn remove_keyframe(&mut self, id: KeyframeId) {
-        let Some((heir, heir_from_map)) = self
+        let Some((keyframe, place)) = self
             .keyframe(id)
-            .and_then(|keyframe| self.resolve(keyframe.parent?))
-            .and_then(|(heir, _)| Some((heir, self.keyframe(heir)?.camera_from_map)))
+            .filter(|keyframe| keyframe.parent.is_some())
+            .and_then(|keyframe| {
+                let heir = self.covisible(id).first()?.keyframe;
+                Some((keyframe, self.place(heir, &keyframe.camera_from_map)?))
+            })
         else {
             return;
         };
-        let points: Vec<PointId> = self
-            .keyframe(id)
-            .into_iter()
-            .flat_map(Keyframe::points)
-            .collect();
+        let unit = keyframe.unit;
+        let points: Vec<PointId> = keyframe.points().collect();
         for point in points {
             self.unlink(point, id);
         }
-        let Some(removed) = self.keyframes.remove(id.0) else {
-            return;
-        };
-        let camera_from_heir = removed.camera_from_map * heir_from_map.inverse();
-        self.culled.insert(
-            id,
-            CulledKeyframe {
-                heir,
-                camera_from_heir,
-            },
-        );
+        self.keyframes.remove(id.0);
+        self.culled.insert(id, CulledKeyframe { place, unit });
     }
 
     /// Recomputes what a point takes from its views: descriptor, viewing direction, distance range.

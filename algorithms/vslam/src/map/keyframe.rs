@@ -33,6 +33,8 @@ pub struct Keyframe {
     pub(crate) camera_from_map: Transform<Camera, Map>,
     pub(crate) observations: Vec<Observation>,
     pub(crate) grid: PlaneGrid,
+    /// By how much adjustments have stretched the map around it since it was made.
+    pub(crate) unit: f64,
     /// The keyframe that was most covisible when this one was made; takes over if it is culled.
     pub(crate) parent: Option<KeyframeId>,
     /// The most covisible keyframes, as of the last change near it; some may have been culled.

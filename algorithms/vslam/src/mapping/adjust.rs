@@ -59,8 +59,10 @@ pub(crate) fn adjust_all(
     run(map, &selection, settings, workspace)
 }
 
-/// The window with its points and border, in the order of time. At least two keyframes are fixed
-/// where there are three, because two determine position and scale.
+/// The window with its points and border, in the order of time.
+///
+/// At least one keyframe is fixed. A young map has no border: then its scale is held by the
+/// damping alone, so that what the first two views got wrong is not fixed for ever.
 fn select(map: &VslamMap, window: &[KeyframeId]) -> Selection {
     let points = map.points_of(window);
     let seeing = map.seen_by(points.iter().copied());
@@ -74,14 +76,8 @@ fn select(map: &VslamMap, window: &[KeyframeId]) -> Selection {
     keyframes.sort_unstable();
     let origin = map.keyframes().next().map(crate::Keyframe::id);
     fixed_ids.extend(origin.filter(|origin| window.contains(origin)));
-    if keyframes.len() > 2 {
-        let more: Vec<_> = keyframes
-            .iter()
-            .filter(|id| !fixed_ids.contains(id))
-            .take(2_usize.saturating_sub(fixed_ids.len()))
-            .copied()
-            .collect();
-        fixed_ids.extend(more);
+    if fixed_ids.is_empty() {
+        fixed_ids.extend(keyframes.first());
     }
     let fixed = keyframes.iter().map(|id| fixed_ids.contains(id)).collect();
     Selection {
@@ -98,10 +94,18 @@ fn run(
     workspace: &mut Workspace,
 ) -> BundleReport {
     let (mut problem, views) = problem(map, selection);
+    let before = problem.clone();
     let report = adjust(&mut problem, settings, workspace);
-    for (id, pose) in selection.keyframes.iter().zip(&problem.poses) {
+    let stretches = stretches(&before, &problem);
+    for ((id, pose), stretch) in selection
+        .keyframes
+        .iter()
+        .zip(&problem.poses)
+        .zip(stretches)
+    {
         if let Some(keyframe) = map.keyframe_mut(*id) {
             keyframe.camera_from_map = pose.camera_from_map;
+            keyframe.unit *= stretch;
         }
     }
     for (id, position) in selection.points.iter().zip(&problem.points) {
@@ -122,6 +126,24 @@ fn run(
         map.refresh_point(*id);
     }
     report
+}
+
+/// By how much the points that each keyframe sees moved away from it: the median of the ratios.
+fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f64> {
+    let mut ratios: Vec<Vec<f64>> = vec![Vec::new(); before.poses.len()];
+    for observation in &before.observations {
+        let (pose_idx, point_idx) = (observation.pose_idx, observation.point_idx);
+        let depth = |problem: &BundleProblem| {
+            (problem.poses[pose_idx].camera_from_map * problem.points[point_idx]).z
+        };
+        ratios[pose_idx].push(depth(after) / depth(before));
+    }
+    let median = |mut ratios: Vec<f64>| {
+        ratios.retain(|ratio| *ratio > 0.0 && ratio.is_finite());
+        ratios.sort_by(f64::total_cmp);
+        ratios.get(ratios.len() / 2).copied().unwrap_or(1.0)
+    };
+    ratios.into_iter().map(median).collect()
 }
 
 type ViewName = (PointId, KeyframeId);

@@ -13,31 +13,26 @@ const DISTANCE_MAX: u32 = 60;
 /// The best candidate must beat the others by this factor.
 const RATIO_MAX: f32 = 0.9;
 /// Neighbours nearer than this share of the depth they see offer no parallax.
-const BASELINE_SHARE_MIN: f64 = 0.01;
+const BASELINE_SHARE_MIN: f64 = 0.02;
+/// Keyframes with which new points are sought.
+const PARTNERS_MAX: usize = 12;
+/// A partner shares at least this many points.
+const SHARED_MIN: u32 = 15;
 /// Distance to the epipolar line, in standard deviations, squared (χ², one degree of freedom).
 const LINE_CHI_SQUARED_MAX: f64 = 3.84;
 /// How far the ratio of distances may be from that of the pyramid levels.
 const SCALE_MISMATCH_MAX: f64 = LEVEL_FACTOR * 1.5;
 
 /// Adds points that the keyframe and one of its neighbours see; returns them.
-pub(crate) fn triangulate_new(
-    optics: &Optics,
-    map: &mut VslamMap,
-    id: KeyframeId,
-    neighbours: &[KeyframeId],
-) -> Vec<PointId> {
+pub(crate) fn triangulate_new(optics: &Optics, map: &mut VslamMap, id: KeyframeId) -> Vec<PointId> {
     let mut new_points = Vec::new();
     let Some(depths) = DepthRange::of(map, id) else {
         return new_points;
     };
-    for neighbour in widest_first(map, id, neighbours) {
+    for neighbour in partners(map, id, depths.median) {
         let (Some(first), Some(second)) = (map.keyframe(id), map.keyframe(neighbour)) else {
             continue;
         };
-        let baseline = (first.centre_in_map() - second.centre_in_map()).norm();
-        if baseline < BASELINE_SHARE_MIN * depths.median {
-            continue;
-        }
         let found = match_pair(optics, (first, second), &depths);
         new_points.extend(
             found
@@ -48,15 +43,23 @@ pub(crate) fn triangulate_new(
     new_points
 }
 
-/// The neighbours by their distance: a point's first pair of views should have much parallax.
-fn widest_first(map: &VslamMap, id: KeyframeId, neighbours: &[KeyframeId]) -> Vec<KeyframeId> {
+/// The keyframes that share most of the view from far enough away, the farthest first: a point's
+/// first pair of views should have much parallax.
+fn partners(map: &VslamMap, id: KeyframeId, depth_median: f64) -> Vec<KeyframeId> {
     let centre = |id| map.keyframe(id).map(Keyframe::centre_in_map);
-    let mut ordered: Vec<(f64, KeyframeId)> = neighbours
-        .iter()
-        .filter_map(|&one| Some(((centre(one)? - centre(id)?).norm(), one)))
+    let Some(own) = centre(id) else {
+        return Vec::new();
+    };
+    let mut partners: Vec<(f64, KeyframeId)> = map
+        .covisible(id)
+        .into_iter()
+        .filter(|one| one.shared_count >= SHARED_MIN)
+        .filter_map(|one| Some(((centre(one.keyframe)? - own).norm(), one.keyframe)))
+        .filter(|(baseline, _)| *baseline >= BASELINE_SHARE_MIN * depth_median)
+        .take(PARTNERS_MAX)
         .collect();
-    ordered.sort_by(|a, b| b.0.total_cmp(&a.0));
-    ordered.into_iter().map(|(_, one)| one).collect()
+    partners.sort_by(|a, b| b.0.total_cmp(&a.0));
+    partners.into_iter().map(|(_, partner)| partner).collect()
 }
 
 /// How far away a keyframe's points are.

@@ -14,7 +14,7 @@ const KEYFRAMES_WITH_NEIGHBOURS_MAX: usize = 40;
 /// A point is looked for up to this angle from where it was seen before.
 const VIEWING_COSINE_MIN: f64 = 0.5;
 const GATE: Gate = Gate {
-    distance_max: 100,
+    distance_max: 80,
     ratio_max: 0.8,
 };
 

@@ -9,7 +9,7 @@ use crate::optics::{LEVEL_COUNT, Optics, level_scale};
 use crate::search::{Gate, Wanted, consistent_turns, find};
 
 const GATE: Gate = Gate {
-    distance_max: 100,
+    distance_max: 80,
     ratio_max: 1.0,
 };
 

@@ -35,12 +35,12 @@ impl Motion {
 
     /// Takes the next tracked frame.
     pub(crate) fn advance(&mut self, map: &VslamMap, next: TrackedFrame) {
-        let pose =
-            |frame: &TrackedFrame| map.camera_from_map(frame.keyframe, &frame.camera_from_keyframe);
+        let pose = |frame: &TrackedFrame| map.pose(&frame.place);
         let interval_s = next.captured_at - self.last.captured_at;
         self.velocity = pose(&self.last)
             .zip(pose(&next))
-            .filter(|_| interval_s > 0.0)
+            // After a gap the mean velocity says little about the last one.
+            .filter(|_| interval_s > 0.0 && self.missed_count == 0)
             .map(|(earlier, later)| Velocity {
                 later_from_earlier: later * earlier.inverse(),
                 interval_s,
@@ -51,7 +51,7 @@ impl Motion {
 
     /// The pose of the last frame, corrected with the map since.
     pub(crate) fn last_pose(&self, map: &VslamMap) -> Option<Transform<Camera, Map>> {
-        map.camera_from_map(self.last.keyframe, &self.last.camera_from_keyframe)
+        map.pose(&self.last.place)
     }
 
     /// The pose at this time, if the camera went on as it did.
