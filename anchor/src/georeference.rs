@@ -80,6 +80,7 @@ impl Georeference {
 pub struct Georeferencer {
     settings: GeoreferenceSettings,
     keyframes: BTreeMap<KeyframeId, KeyframePose>,
+    depths: Depths,
     association: Association,
 }
 
@@ -88,6 +89,7 @@ impl Georeferencer {
         Self {
             association: Association::new(&settings),
             keyframes: BTreeMap::new(),
+            depths: Depths::default(),
             settings,
         }
     }
@@ -97,6 +99,16 @@ impl Georeferencer {
         self.keyframes.insert(pose.id, pose);
         while self.keyframes.len() > self.settings.node_count_max {
             self.keyframes.pop_first();
+        }
+    }
+
+    /// Takes the median depth of what a keyframe sees, in the unit of the map.
+    pub fn insert_depth(&mut self, keyframe: KeyframeId, depth: f64) {
+        if depth > 0.0 && depth.is_finite() {
+            self.depths.0.insert(keyframe, depth);
+        }
+        while self.depths.0.len() > self.settings.node_count_max {
+            self.depths.0.pop_first();
         }
     }
 
@@ -144,9 +156,33 @@ impl Georeferencer {
             return Err(NotObservable::TooFewFixes { count: ties.len() });
         }
         let start = start::find(&ties, &self.keyframes)?;
-        let solution = chain::solve(&ties, &self.keyframes, &start, &self.settings)
+        let solution = chain::solve(&ties, &self.keyframes, &self.depths, &start, &self.settings)
             .ok_or(NotObservable::Unstable)?;
-        outcome::judge(&ties, &self.keyframes, solution, &self.settings)
+        outcome::judge(
+            &ties,
+            &self.keyframes,
+            solution,
+            &self.depths,
+            &self.settings,
+        )
+    }
+}
+
+/// The depth of what keyframes see, in the unit of the map, as far as it was told.
+#[derive(Debug, Default)]
+struct Depths(BTreeMap<KeyframeId, f64>);
+
+/// Of the scene, while nobody has told [m].
+const DEPTH_UNTOLD_M: f64 = 3.0;
+
+impl Depths {
+    /// The depth that was told for the nearest keyframe before, or after.
+    ///
+    /// - `scale_m`: metres per unit of the map, for when nothing was told.
+    fn near(&self, keyframe: KeyframeId, scale_m: f64) -> f64 {
+        let before = self.0.range(..=keyframe).next_back();
+        let nearest = before.or_else(|| self.0.range(keyframe..).next());
+        nearest.map_or(DEPTH_UNTOLD_M / scale_m, |(_, depth)| *depth)
     }
 }
 

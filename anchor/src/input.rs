@@ -56,6 +56,17 @@ impl KeyframeInput {
             pose: KeyframePose::from(keyframe),
         })
     }
+
+    /// The median depth of the points, in the unit of the map.
+    pub fn median_depth(&self) -> Option<f64> {
+        let camera_from_map = self.pose.map_from_camera.inverse();
+        let depths = self.points.iter();
+        let mut depths: Vec<f64> = depths
+            .map(|point| (camera_from_map * point.position_in_map).z)
+            .collect();
+        depths.sort_by(f64::total_cmp);
+        depths.get(depths.len() / 2).copied()
+    }
 }
 
 impl From<&vslam::Keyframe> for KeyframePose {

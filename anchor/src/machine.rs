@@ -126,7 +126,12 @@ impl Anchor {
                 self.georeferencer.insert_keyframe(pose);
                 self.cutter.insert(pose, now);
             }
-            Event::KeyframeSettled(keyframe) => self.cut(&keyframe, &mut effects),
+            Event::KeyframeSettled(keyframe) => {
+                if let Some(depth) = keyframe.median_depth() {
+                    self.georeferencer.insert_depth(keyframe.pose.id, depth);
+                }
+                self.cut(&keyframe, &mut effects);
+            }
             Event::KeyframesMoved(poses) => {
                 self.georeferencer.move_keyframes(&poses);
                 self.placer.move_keyframes(&poses);

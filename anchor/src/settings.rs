@@ -37,7 +37,7 @@ impl AnchorSettings {
             stale_after_s: 10.0,
             solve_interval_s: 0.25,
             placement_interval_s: 1.0,
-            republish_sigma: 0.5,
+            republish_sigma: 0.25,
         }
     }
 }
@@ -115,16 +115,19 @@ impl Default for GeoreferenceSettings {
 
 /// How a monocular map errs along its path, as random walks: what makes the covariance honest and
 /// lets the fixes bend the map. Larger values follow the fixes more closely.
+///
+/// Standard deviations after a way as long as the scene is deep, growing with the root of the
+/// way. A camera that mistakes a turn for a shift keeps what it looks at in place: the map turns
+/// about the scene ahead, not about the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct DriftModel {
-    /// Per root of a metre travelled.
-    pub rotation_rad_per_sqrt_m: f64,
+    pub rotation_rad: f64,
     /// Per radian turned.
     pub rotation_per_rad: f64,
-    /// Of a step's length.
-    pub translation_share: f64,
-    /// Of ln s, per root of a metre travelled: 0.008 is 3.6 % over 20 m.
-    pub log_scale_per_sqrt_m: f64,
+    /// Of the scene ahead, as a share of its depth.
+    pub translation: f64,
+    /// Of ln s.
+    pub log_scale: f64,
     /// Of ln s, per radian turned.
     pub log_scale_per_rad: f64,
 }
@@ -132,10 +135,10 @@ pub struct DriftModel {
 impl Default for DriftModel {
     fn default() -> Self {
         Self {
-            rotation_rad_per_sqrt_m: 0.006,
+            rotation_rad: 0.009,
             rotation_per_rad: 0.01,
-            translation_share: 0.01,
-            log_scale_per_sqrt_m: 0.008,
+            translation: 0.003,
+            log_scale: 0.01,
             log_scale_per_rad: 0.01,
         }
     }

@@ -14,6 +14,8 @@ use crate::{FixPosition, FrameInput, KeyframePose, PositionFix};
 const FRAME_RATE_HZ: f64 = 10.0;
 const SPEED_M_PER_S: f64 = 0.5;
 const KEYFRAME_EVERY: usize = 6;
+/// Of the scene.
+const DEPTH_M: f64 = 3.0;
 /// Metres per unit of the map at its start.
 pub(crate) const SCALE_M: f64 = 2.7;
 
@@ -89,6 +91,19 @@ pub(crate) fn fly(
     drift: &Drift,
     seed: u64,
 ) -> Vec<Frame> {
+    fly_looking(0.0, path, length_m, drift, seed)
+}
+
+/// The same with the camera turned to the right by `yaw_rad`.
+pub(crate) fn fly_looking(
+    yaw_rad: f64,
+    path: impl Fn(f64) -> Vector3<f64>,
+    length_m: f64,
+    drift: &Drift,
+    seed: u64,
+) -> Vec<Frame> {
+    // The camera's y axis points down.
+    let looking = Transform::new(so3::exp(&(Vector3::y() * yaw_rad)), Vector3::zeros());
     let mut normal = Normal::new(seed);
     let step_m = SPEED_M_PER_S / FRAME_RATE_HZ;
     let frame_count = (length_m / step_m) as usize;
@@ -96,7 +111,7 @@ pub(crate) fn fly(
     let mut log_scale = 0.0;
     let first_in_map = Transform::new(so3::exp(&Vector3::new(0.4, -0.3, 0.9)), Vector3::zeros());
     for idx in 0..frame_count {
-        let enu_from_camera = pose_on(&path, idx as f64 * step_m);
+        let enu_from_camera = pose_on(&path, idx as f64 * step_m) * looking;
         let map_from_camera = match frames.last() {
             None => first_in_map,
             Some(last) => {
@@ -104,8 +119,13 @@ pub(crate) fn fly(
                 let spread = step_m.sqrt();
                 log_scale += drift.log_scale_per_sqrt_m * spread * normal.scalar();
                 let turn = normal.vector() * (drift.rotation_rad_per_sqrt_m * spread);
-                let units = step.translation() / (SCALE_M * f64::exp(log_scale));
-                last.map_from_camera * Transform::new(step.rotation() * so3::exp(&turn), units)
+                let scale_m = SCALE_M * f64::exp(log_scale);
+                let units = step.translation() / scale_m;
+                // What the camera looks at stays where it is.
+                let scene = Vector3::z() * (DEPTH_M / scale_m);
+                let turn = so3::exp(&turn);
+                let shift = step.rotation() * (scene - turn * scene);
+                last.map_from_camera * Transform::new(step.rotation() * turn, units + shift)
             }
         };
         frames.push(Frame {

@@ -1,7 +1,8 @@
 //! The map as a chain of similarities, one per keyframe, that drift relates and fixes hold.
 //!
 //! Neighbouring keyframes stand to each other as the map says, up to the drift of a monocular map
-//! (a random walk of rotation, translation and ln s along the path). The normal equations are
+//! (a random walk of rotation, translation and ln s along the path, about the scene that the
+//! camera looks at). The normal equations are
 //! block-tridiagonal, so a solution and all marginal covariances cost a pass each.
 
 use std::collections::BTreeMap;
@@ -10,6 +11,7 @@ use geometry::{Camera, Enu, Map, Matrix7, Similarity, Tangent7, so3};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use vslam::KeyframeId;
 
+use super::Depths;
 use super::association::Tie;
 use crate::settings::DriftModel;
 use crate::{GeoreferenceSettings, KeyframePose};
@@ -59,10 +61,11 @@ pub(super) struct Node {
 pub(super) fn solve(
     ties: &[&Tie],
     keyframes: &BTreeMap<KeyframeId, KeyframePose>,
+    depths: &Depths,
     start: &Similarity<Enu, Map>,
     settings: &GeoreferenceSettings,
 ) -> Option<Solution> {
-    let mut problem = Problem::new(ties, keyframes, start, settings);
+    let mut problem = Problem::new(ties, keyframes, depths, start, settings);
     loop {
         let mut solution = problem.minimise()?;
         let excess = median(&solution.residuals_squared) / CHI2_MEDIAN;
@@ -85,6 +88,8 @@ struct Problem<'a> {
     /// Index of each tie's node.
     node_of_tie: Vec<usize>,
     keyframes: Vec<&'a KeyframePose>,
+    /// Of the scene at each keyframe, in the unit of the map.
+    depths: Vec<f64>,
     drift: DriftModel,
     drift_factor: f64,
     antenna_in_camera: Vector3<f64>,
@@ -98,6 +103,7 @@ impl<'a> Problem<'a> {
     fn new(
         ties: &'a [&'a Tie],
         keyframes: &'a BTreeMap<KeyframeId, KeyframePose>,
+        depths: &Depths,
         start: &Similarity<Enu, Map>,
         settings: &GeoreferenceSettings,
     ) -> Self {
@@ -122,6 +128,10 @@ impl<'a> Problem<'a> {
             drift_factor: 1.0,
             start: places.clone(),
             places,
+            depths: keyframes
+                .iter()
+                .map(|keyframe| depths.near(keyframe.id, start.scale()))
+                .collect(),
             keyframes,
             ties,
         }
@@ -198,32 +208,43 @@ impl<'a> Problem<'a> {
     fn add_step(&self, system: &mut Tridiagonal, idx: usize) {
         let (error, weight) = self.step(idx);
         let predicted = self.places[idx - 1].inverse() * self.places[idx];
+        let about_scene = self.about_scene(idx);
         let d_error_d_first = -predicted.inverse().adjoint();
-        let weight = Matrix7::from_diagonal(&weight);
+        let weight = about_scene.transpose() * Matrix7::from_diagonal(&weight) * about_scene;
         system.add_pair(idx - 1, &d_error_d_first, &weight, &error);
     }
 
+    /// From a tangent at keyframe `idx` to one that moves the scene ahead: `ν + ω × p`. A change
+    /// of scale is about the camera.
+    fn about_scene(&self, idx: usize) -> Matrix7 {
+        let scene = Vector3::z() * self.depths[idx];
+        let mut about_scene = Matrix7::identity();
+        about_scene
+            .fixed_view_mut::<3, 3>(3, 0)
+            .copy_from(&-so3::hat(&scene));
+        about_scene
+    }
+
     /// The error of the map's step to keyframe `idx` from the one before, `e = log(M⁻¹ Xᵢ⁻¹ Xⱼ)`,
-    /// and the inverse variances of its components.
+    /// and the inverse variances of its components about the scene.
     fn step(&self, idx: usize) -> (Tangent7, Tangent7) {
         let measured =
             self.keyframes[idx - 1].map_from_camera.inverse() * self.keyframes[idx].map_from_camera;
         let predicted = self.places[idx - 1].inverse() * self.places[idx];
         let error: Tangent7 = (measured.inverse() * predicted).log();
-        let distance = measured.translation().norm();
-        let distance_m = distance * self.start[0].scale();
+        let depth = self.depths[idx];
+        let way = measured.translation().norm() / depth;
         let turn_rad = measured.rotation().angle();
         let drift = &self.drift;
-        let rotation = (drift.rotation_rad_per_sqrt_m.powi(2) * distance_m
-            + (drift.rotation_per_rad * turn_rad).powi(2)
-            + 1e-8)
-            .sqrt();
+        let rotation =
+            (drift.rotation_rad.powi(2) * way + (drift.rotation_per_rad * turn_rad).powi(2) + 1e-8)
+                .sqrt();
         // A millimetre for what the pose of a keyframe is uncertain by at least.
-        let translation = (drift.translation_share * distance).hypot(1e-3 / self.start[0].scale());
-        let log_scale = (drift.log_scale_per_sqrt_m.powi(2) * distance_m
-            + (drift.log_scale_per_rad * turn_rad).powi(2)
-            + 1e-8)
-            .sqrt();
+        let translation =
+            (drift.translation * depth * way.sqrt()).hypot(1e-3 / self.start[0].scale());
+        let log_scale =
+            (drift.log_scale.powi(2) * way + (drift.log_scale_per_rad * turn_rad).powi(2) + 1e-8)
+                .sqrt();
         let sigma = [rotation, translation, log_scale].map(|sigma| sigma * self.drift_factor);
         (error, Tangent7::from_fn(|row, _| sigma[row / 3].powi(-2)))
     }
@@ -303,6 +324,7 @@ impl<'a> Problem<'a> {
         let inliers: Vec<f64> = squared.into_iter().filter(|one| *one < gate).collect();
         let steps = (1..self.places.len()).map(|idx| {
             let (error, weight) = self.step(idx);
+            let error = self.about_scene(idx) * error;
             error.component_mul(&error).dot(&weight)
         });
         (inliers.iter().sum::<f64>() + steps.sum::<f64>()) / (3.0 * inliers.len() as f64)

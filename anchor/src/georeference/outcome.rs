@@ -9,7 +9,7 @@ use vslam::KeyframeId;
 
 use super::association::Tie;
 use super::chain::{Node, Solution, median};
-use super::{Georeference, PlacedKeyframe};
+use super::{Depths, Georeference, PlacedKeyframe};
 use crate::{GeoreferenceSettings, KeyframePose};
 
 /// A fix beyond this, squared and whitened, is an outlier: 99.9 % of χ² with three degrees.
@@ -49,6 +49,7 @@ pub(super) fn judge(
     ties: &[&Tie],
     keyframes: &BTreeMap<KeyframeId, KeyframePose>,
     solution: Solution,
+    depths: &Depths,
     settings: &GeoreferenceSettings,
 ) -> Result<Georeference, NotObservable> {
     let rotation_sigma_rad = typical(&solution.nodes, |node| weakest_turn(&node.covariance).0);
@@ -74,7 +75,8 @@ pub(super) fn judge(
         .map(|tie| ((tie.fix.covariance.m11 + tie.fix.covariance.m22) * 0.5).sqrt())
         .collect();
     Ok(Georeference {
-        covariance: common_covariance(&solution.nodes, keyframes).ok_or(NotObservable::Unstable)?,
+        covariance: common_covariance(&solution.nodes, keyframes, depths)
+            .ok_or(NotObservable::Unstable)?,
         enu_from_map,
         fix_sigma_m: median(&sigmas),
         outlier_count: ties.len() - accepted.len(),
@@ -178,23 +180,33 @@ fn reach(nodes: &[Node]) -> f64 {
     3.0 / typical(nodes, |node| node.enu_from_camera.scale())
 }
 
-/// The covariance of one similarity under which the probes are, on average over the keyframes, as
-/// uncertain as under the keyframes' own covariances.
+/// How far towards what the anchor sees, as shares of its depth, others stand who see it too: not
+/// at the anchor's camera, which the fixes hold best, but where an error of scale or turn shifts
+/// them along with the scene.
+const USE_SHARES: [f64; 2] = [0.5, 0.75];
+
+/// The covariance of one similarity under which the places of use are, on average over the
+/// keyframes, as uncertain as under the keyframes' own covariances.
 ///
-/// The sum of the probes' information, `Λ = Σ Jᵀ P⁻¹ J`, would treat them as independent and give
+/// The sum of their information, `Λ = Σ Jᵀ P⁻¹ J`, would treat them as independent and give
 /// an average normalised variance of 7/n; scaling it by 7/(3 n) makes that 3, as it should be.
 fn common_covariance(
     nodes: &[Node],
     keyframes: &BTreeMap<KeyframeId, KeyframePose>,
+    depths: &Depths,
 ) -> Option<Matrix7> {
-    let reach = reach(nodes);
     let mut information = Matrix7::zeros();
     let mut probe_count = 0;
     for node in nodes {
         let Some(pose) = keyframes.get(&node.keyframe) else {
             continue;
         };
-        for probe in probes(reach) {
+        let depth = depths.near(node.keyframe, node.enu_from_camera.scale());
+        let ahead = USE_SHARES.iter().flat_map(|share| {
+            let [_, first, second] = probes(share * depth);
+            [first, second]
+        });
+        for probe in ahead {
             let in_camera = d_point_d_tangent(&node.enu_from_camera.linear_matrix(), &probe);
             let spread = in_camera * node.covariance * in_camera.transpose();
             let Some(inverse) = spread.try_inverse() else {

@@ -3,9 +3,9 @@
 use geometry::{Enu, Map, Similarity, umeyama};
 use nalgebra::{Unit, Vector3};
 
-use super::{Georeference, Georeferencer, LocalFix, NotObservable};
+use super::{Georeference, Georeferencer, LocalFix, NotObservable, d_point_d_tangent};
 use crate::simulation::{
-    Drift, Frame, NO_DRIFT, Normal, TYPICAL_DRIFT, fly, straight, with_a_turn,
+    Drift, Frame, NO_DRIFT, Normal, TYPICAL_DRIFT, fly, fly_looking, straight, with_a_turn,
 };
 use crate::{GeoreferenceSettings, Heading};
 
@@ -46,16 +46,17 @@ fn placed_rms_m(frames: &[Frame], georeference: &Georeference) -> f64 {
     })
 }
 
-/// Mean of eᵀP⁻¹e / 3 of the cameras' positions.
-fn nees_mean(frames: &[Frame], georeference: &Georeference) -> f64 {
+/// Mean of eᵀP⁻¹e / 3 of points so far ahead of the cameras; at zero of the cameras themselves.
+fn nees_mean(frames: &[Frame], georeference: &Georeference, ahead_m: f64) -> f64 {
     let keyframes = frames.iter().filter(|frame| frame.keyframe.is_some());
     let (mut sum, mut count) = (0.0, 0.0);
     for frame in keyframes {
         let placed = georeference.keyframes[&frame.keyframe.unwrap()];
-        let error = placed.enu_from_camera.translation() - frame.enu_from_camera.translation();
-        let linear = placed.enu_from_camera.linear_matrix();
-        let block = placed.covariance.fixed_view::<3, 3>(3, 3).into_owned();
-        let covariance = linear * block * linear.transpose();
+        let ahead = Vector3::z() * ahead_m;
+        let in_map = ahead / frame.scale_m;
+        let error = placed.enu_from_camera * in_map - frame.enu_from_camera * ahead;
+        let jacobian = d_point_d_tangent(&placed.enu_from_camera.linear_matrix(), &in_map);
+        let covariance = jacobian * placed.covariance * jacobian.transpose();
         sum += error.dot(&(covariance.try_inverse().unwrap() * error)) / 3.0;
         count += 1.0;
     }
@@ -95,11 +96,41 @@ fn a_drifting_map_is_bent_to_the_fixes() {
             found.enu_from_map * (frame.map_from_camera * ahead)
         });
         println!("seed {seed}: bent {bent_m:.4} m, one similarity {rigid_m:.4} m");
-        assert!(bent_m < 0.03, "seed {seed}: {bent_m}");
-        nees_sum += nees_mean(&frames, &found);
+        assert!(bent_m < 0.04, "seed {seed}: {bent_m}");
+        nees_sum += nees_mean(&frames, &found, 0.0);
     }
     println!("nees {:.3}", nees_sum / 6.0);
     assert!((0.2..1.5).contains(&(nees_sum / 6.0)), "{nees_sum}");
+}
+
+/// A camera that looks to the side cannot tell a small turn from a shift along its way, so that
+/// turns make the way too long or too short against the depth of what it sees. The depth is what
+/// others rely on: its error must be stated.
+#[test]
+fn what_a_sideways_camera_sees_is_placed_with_an_honest_covariance() {
+    let (mut camera_sum, mut scene_sum, mut squared_sum) = (0.0, 0.0, 0.0);
+    let seed_count = 16;
+    for seed in 0..seed_count {
+        let drift = Drift {
+            log_scale_per_sqrt_m: 0.005,
+            rotation_rad_per_sqrt_m: 0.005,
+        };
+        let to_the_right = std::f64::consts::FRAC_PI_2;
+        let frames = fly_looking(to_the_right, with_a_turn, 20.0, &drift, 70 + seed);
+        let mut normal = Normal::new(300 + seed);
+        let found = georeferencer(&frames, |_, frame| Some(frame.local_fix(0.02, &mut normal)))
+            .solve()
+            .unwrap();
+        camera_sum += nees_mean(&frames, &found, 0.0);
+        scene_sum += nees_mean(&frames, &found, 3.0);
+        squared_sum += placed_rms_m(&frames, &found).powi(2);
+    }
+    let count = seed_count as f64;
+    let (camera, scene) = (camera_sum / count, scene_sum / count);
+    let rms_m = (squared_sum / count).sqrt();
+    println!("nees of cameras {camera:.2}, of the scene {scene:.2}; scene {rms_m:.4} m off");
+    assert!((0.2..1.5).contains(&camera) && (0.2..1.5).contains(&scene));
+    assert!(rms_m < 0.05);
 }
 
 #[test]
@@ -120,7 +151,7 @@ fn coarse_fixes_leave_the_map_nearly_rigid() {
         georeferencer.settings.scale_sigma_max = 0.5;
         let found = georeferencer.solve().unwrap();
         assert!(placed_rms_m(&frames, &found) < 0.8);
-        nees_sum += nees_mean(&frames, &found);
+        nees_sum += nees_mean(&frames, &found, 0.0);
     }
     println!("nees {:.3}", nees_sum / 6.0);
     assert!((0.1..1.8).contains(&(nees_sum / 6.0)), "{nees_sum}");
@@ -327,7 +358,7 @@ fn the_common_covariance_is_honest() {
         let placed = found.keyframes[&frame.keyframe.unwrap()];
         let error = placed.enu_from_camera.translation() - frame.enu_from_camera.translation();
         let point = *frame.map_from_camera.translation();
-        let jacobian = super::d_point_d_tangent(&found.enu_from_map.linear_matrix(), &point);
+        let jacobian = d_point_d_tangent(&found.enu_from_map.linear_matrix(), &point);
         let covariance = jacobian * found.covariance * jacobian.transpose();
         sum += error.dot(&(covariance.try_inverse().unwrap() * error)) / 3.0;
         count += 1.0;

@@ -7,8 +7,8 @@
 
 use std::collections::VecDeque;
 
-use geometry::{Camera, Map, Matrix7, Similarity, Tangent7, Timestamp, Transform};
-use nalgebra::SMatrix;
+use geometry::{Camera, Map, Matrix7, Similarity, Tangent7, Timestamp, Transform, so3};
+use nalgebra::{SMatrix, Vector3};
 
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::locate::Located;
@@ -37,6 +37,9 @@ pub(super) struct State {
 }
 
 /// The variance that drift adds on the way between two poses of the own map.
+///
+/// A camera that mistakes a turn for a shift keeps what it looks at in place, so the turn is about
+/// the scene ahead, `ν = ν_scene − ω × p`; a change of scale is about the camera.
 pub(super) fn drift_covariance(rates: &DriftRates, depth: f64, travelled: f64) -> Matrix7 {
     let share = travelled / depth;
     let mut diagonal = Tangent7::zeros();
@@ -47,7 +50,11 @@ pub(super) fn drift_covariance(rates: &DriftRates, depth: f64, travelled: f64) -
         .fixed_rows_mut::<3>(3)
         .fill((rates.translation * depth).powi(2) * share);
     diagonal[6] = rates.log_scale.powi(2) * share;
-    Matrix7::from_diagonal(&diagonal)
+    let mut camera_from_scene = Matrix7::identity();
+    camera_from_scene
+        .fixed_view_mut::<3, 3>(3, 0)
+        .copy_from(&so3::hat(&(Vector3::z() * depth)));
+    camera_from_scene * Matrix7::from_diagonal(&diagonal) * camera_from_scene.transpose()
 }
 
 impl State {

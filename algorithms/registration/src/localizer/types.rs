@@ -259,9 +259,9 @@ impl Default for LocalizerSettings {
             anchor_disagreement_max: 4.0,
             correlation_depths: 0.3,
             drift: DriftRates {
-                rotation_rad: 0.004,
-                translation: 0.006,
-                log_scale: 0.008,
+                rotation_rad: 0.008,
+                translation: 0.004,
+                log_scale: 0.01,
             },
             keyframe_floor: ErrorFloor {
                 rotation_rad: 0.002,
