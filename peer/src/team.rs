@@ -190,10 +190,12 @@ impl Team {
     }
 
     fn tick(&mut self, tick_number: u64, tick: &Tick, first_ns: &[i64]) -> anyhow::Result<()> {
+        let sent_before = self.barrier.sent_so_far();
         for (vehicle_idx, first_ns) in first_ns.iter().enumerate() {
             let order = Order::Tick {
                 tick: tick_number,
                 now_ns: first_ns + tick.elapsed_ns,
+                sent_before: sent_before.clone(),
             };
             self.crew.order(vehicle_idx, &order)?;
         }

@@ -1,24 +1,29 @@
 //! The one place that writes to stdout and stderr: results there, diagnostics here.
 
+use std::io::{ErrorKind, Write};
+
+use anyhow::Context;
 use serde::Serialize;
 
 /// Prints one JSON object to stdout.
-#[expect(
-    clippy::print_stdout,
-    reason = "results go to stdout, through this module"
-)]
 pub fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
-    println!("{}", serde_json::to_string_pretty(value)?);
-    Ok(())
+    write_line(&serde_json::to_string_pretty(value)?).context("cannot write to standard output")
 }
 
 /// Prints one line of a result for a reader to stdout.
-#[expect(
-    clippy::print_stdout,
-    reason = "results go to stdout, through this module"
-)]
 pub fn print_line(line: &str) {
-    println!("{line}");
+    if let Err(error) = write_line(line) {
+        diagnose(&format!("cannot write to standard output: {error}"));
+    }
+}
+
+/// A reader who has gone is no error; a full disk is.
+fn write_line(line: &str) -> std::io::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    match writeln!(stdout, "{line}").and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// Prints one line of diagnostics to stderr.

@@ -10,6 +10,7 @@ use super::run::client_line;
 use super::{Exit, UsageError, output};
 use crate::config::PositionConfig;
 use crate::dataset::DatasetArgument;
+use crate::process::VehicleSummary;
 use crate::team::{
     Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly, table,
 };
@@ -64,7 +65,8 @@ pub fn run(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Exit
         bar.finish();
     }
     print(&report, arguments.json)?;
-    Ok(if report.stalled {
+    let lost = |summary: &VehicleSummary| summary.unreadable_count + summary.dropped_count > 0;
+    Ok(if report.stalled || report.vehicles.iter().any(lost) {
         Exit::DoneWithLoss
     } else {
         Exit::Done

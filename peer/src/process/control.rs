@@ -14,8 +14,15 @@ use super::{Arrival, VehicleSummary};
 pub enum Order {
     /// Send a beacon, so that it becomes known that messages come through.
     Greet { now_ns: i64 },
-    /// It is this time on the vehicle's clock: apply what has arrived, then all inputs up to it.
-    Tick { tick: u64, now_ns: i64 },
+    /// It is this time on the vehicle's clock: apply what was sent before, then all inputs up to
+    /// it.
+    Tick {
+        tick: u64,
+        now_ns: i64,
+        /// How many messages each vehicle had sent when the tick began. A faster vehicle's newer
+        /// ones may have arrived already; they wait for the next tick.
+        sent_before: BTreeMap<String, Counted>,
+    },
     /// Write the files and end.
     Finish,
 }

@@ -63,17 +63,21 @@ fn obey(
     order: &Order,
     report: &mut dyn FnMut(&Report),
 ) -> anyhow::Result<bool> {
-    match *order {
-        Order::Greet { now_ns } => vehicle.greet(Timestamp::from_nanoseconds(now_ns))?,
-        Order::Tick { tick, now_ns } => {
-            let now = Timestamp::from_nanoseconds(now_ns);
-            for event in waiting.take_in_order() {
+    match order {
+        Order::Greet { now_ns } => vehicle.greet(Timestamp::from_nanoseconds(*now_ns))?,
+        Order::Tick {
+            tick,
+            now_ns,
+            sent_before,
+        } => {
+            let now = Timestamp::from_nanoseconds(*now_ns);
+            for event in waiting.take_in_order(sent_before) {
                 vehicle.take_link(event, now)?;
             }
             take_inputs(vehicle, source, pending, now)?;
             vehicle.take(Event::Tick, now)?;
             report(&Report::TickDone {
-                tick,
+                tick: *tick,
                 sent: vehicle.sent(),
             });
             report(&waiting.heard(vehicle));
@@ -136,13 +140,28 @@ impl Waiting {
         }
     }
 
-    /// Chunks come before the beacons that mention them.
-    fn take_in_order(&mut self) -> Vec<LinkEvent> {
+    /// What was sent before the tick; chunks come before the beacons that mention them.
+    fn take_in_order(&mut self, sent_before: &BTreeMap<String, Counted>) -> Vec<LinkEvent> {
         self.ended_request_count = 0;
-        let mut events = std::mem::take(&mut self.events);
-        events.sort_by_cached_key(rank);
-        events
+        let (mut due, early): (Vec<_>, Vec<_>) = std::mem::take(&mut self.events)
+            .into_iter()
+            .partition(|event| is_due(event, sent_before));
+        self.events = early;
+        due.sort_by_cached_key(rank);
+        due
     }
+}
+
+/// Whether a message was sent before the tick. What nobody counts is due when it is here.
+fn is_due(event: &LinkEvent, sent_before: &BTreeMap<String, Counted>) -> bool {
+    let LinkEvent::Sample(sample) = event else {
+        return true;
+    };
+    let limit = sample.origin.as_ref().and_then(|origin| {
+        let sent = sent_before.get(&origin.sender)?;
+        Some((origin.sequence, sent[counted(origin.class)?]))
+    });
+    limit.is_none_or(|(sequence, sent)| sequence <= sent)
 }
 
 /// The class's place in [`Counted`]; poses may be dropped and are not waited for.
@@ -183,5 +202,43 @@ fn rank(event: &LinkEvent) -> Rank {
             payload,
         } => (6, None, request.0, key.clone(), payload.to_vec()),
         LinkEvent::RequestEnded { request } => (7, None, request.0, String::new(), Vec::new()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::{Origin, Sample};
+
+    fn notice(sender: &str, sequence: u64) -> LinkEvent {
+        LinkEvent::Sample(Sample {
+            key: format!("vehicle/{sender}/have"),
+            payload: Vec::new().into(),
+            origin: Some(Origin {
+                sender: sender.to_owned(),
+                class: Class::Notice,
+                sequence,
+            }),
+        })
+    }
+
+    #[test]
+    fn a_message_of_the_running_tick_waits_however_early_it_is() {
+        let mut waiting = Waiting::default();
+        waiting.push(notice("b", 3));
+        waiting.push(notice("a", 5));
+        waiting.push(notice("a", 4));
+        let sent_before = BTreeMap::from([("a".to_owned(), [0, 4]), ("b".to_owned(), [0, 3])]);
+        let due = waiting.take_in_order(&sent_before);
+        assert_eq!(due, [notice("a", 4), notice("b", 3)]);
+        let sent_before = BTreeMap::from([("a".to_owned(), [0, 5])]);
+        assert_eq!(waiting.take_in_order(&sent_before), [notice("a", 5)]);
+    }
+
+    #[test]
+    fn a_message_from_outside_the_team_is_due_at_once() {
+        let mut waiting = Waiting::default();
+        waiting.push(notice("stranger", 9));
+        assert_eq!(waiting.take_in_order(&BTreeMap::new()).len(), 1);
     }
 }

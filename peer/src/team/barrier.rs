@@ -57,6 +57,12 @@ impl Barrier {
         &self.ids[vehicle_idx]
     }
 
+    /// How many messages each vehicle had sent at the end of the last tick.
+    pub fn sent_so_far(&self) -> BTreeMap<String, Counted> {
+        let ids = self.ids.iter().cloned();
+        ids.zip(self.sent.iter().copied()).collect()
+    }
+
     pub fn everybody_heard_everybody(&self) -> bool {
         self.silent().next().is_none()
     }
