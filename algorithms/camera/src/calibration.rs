@@ -183,8 +183,7 @@ fn read_rigid(data: &[f64]) -> Result<Transform<Body, Camera>, CalibrationError>
     // starts for rotations by a half turn.
     let svd = linear.svd(true, true);
     let nearest = svd.u.unwrap_or_default() * svd.v_t.unwrap_or_default();
-    let rotation =
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(nearest));
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(nearest));
     Ok(Transform::new(rotation, translation))
 }
 
