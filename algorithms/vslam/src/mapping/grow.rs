@@ -8,8 +8,9 @@ use crate::optics::{LEVEL_FACTOR, Optics, level_scale};
 use crate::triangulation::{Sighting, TriangulationSettings, triangulate};
 use crate::{Keyframe, KeyframeId, Observation, PointId, View, VslamMap};
 
-/// Descriptors of one new point differ by at most this many bits.
-const DISTANCE_MAX: u32 = 60;
+/// Descriptors of one new point differ by at most this many bits. More lets in pairs that agree
+/// with the epipolar geometry by chance, and whatever is wrong with it feeds on these.
+const DISTANCE_MAX: u32 = 45;
 /// The best candidate must beat the others by this factor.
 const RATIO_MAX: f32 = 0.9;
 /// Neighbours nearer than this share of the depth they see offer no parallax.
