@@ -10,7 +10,7 @@ pub struct PositionFix {
     /// When it was valid, on the clock that also stamps the images.
     pub captured_at: Timestamp,
     pub position: FixPosition,
-    /// Covariance [m²] along east, north, up (or the site's axes).
+    /// Covariance (m²) along east, north, up (or the site's axes).
     pub covariance: Matrix3<f64>,
     pub heading: Option<Heading>,
 }
@@ -18,7 +18,7 @@ pub struct PositionFix {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FixPosition {
     Geodetic(Geodetic),
-    /// In the frame of the anchor's datum [m]: a site's own axes, or east, north, up.
+    /// In the frame of the anchor's datum (m): a site's own axes, or east, north, up.
     Local(Vector3<f64>),
 }
 
@@ -58,7 +58,7 @@ impl PositionFix {
         local && heading && self.covariance.cholesky().is_some() && self.sigma_m() < 1e6
     }
 
-    /// The standard deviation of the position [m], the mean over the axes.
+    /// The standard deviation of the position (m), the mean over the axes.
     pub fn sigma_m(&self) -> f64 {
         (self.covariance.trace() / 3.0).sqrt()
     }

@@ -40,7 +40,7 @@ pub struct Georeference {
     pub covariance: Matrix7,
     /// Where each keyframe's camera stands, its unit that of the map.
     pub keyframes: BTreeMap<KeyframeId, PlacedKeyframe>,
-    /// The typical standard deviation of a fix [m], horizontally.
+    /// The typical standard deviation of a fix (m), horizontally.
     pub fix_sigma_m: f64,
     pub outlier_count: usize,
     pub fix_count: usize,
@@ -172,7 +172,7 @@ impl Georeferencer {
 #[derive(Debug, Default)]
 struct Depths(BTreeMap<KeyframeId, f64>);
 
-/// Of the scene, while nobody has told [m].
+/// Of the scene, while nobody has told (m).
 const DEPTH_UNTOLD_M: f64 = 3.0;
 
 impl Depths {

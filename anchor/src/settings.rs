@@ -14,11 +14,11 @@ pub struct AnchorSettings {
     pub surveys: Vec<SiteSurvey>,
     pub cut: CutSettings,
     pub georeference: GeoreferenceSettings,
-    /// Without an accepted fix for longer, the anchor's position is stale [s]; 5 to 60.
+    /// Without an accepted fix for longer, the anchor's position is stale (s); 5 to 60.
     pub stale_after_s: f64,
-    /// The georeference is renewed this often [s]: what the anchor's own pose rests on.
+    /// The georeference is renewed this often (s): what the anchor's own pose rests on.
     pub solve_interval_s: f64,
-    /// Placements are published at most this often [s].
+    /// Placements are published at most this often (s).
     pub placement_interval_s: f64,
     /// A chunk's or map's place is published again when it moved by more than this many of its
     /// standard deviations; less costs bandwidth, more costs accuracy.
@@ -45,13 +45,13 @@ impl AnchorSettings {
 /// When a keyframe becomes a chunk, and with which points.
 #[derive(Clone, Debug)]
 pub struct CutSettings {
-    /// A keyframe that has not settled is cut anyway after this long [s].
+    /// A keyframe that has not settled is cut anyway after this long (s).
     pub delay_max_s: f64,
     /// ... or after this many newer keyframes.
     pub keyframe_count_max: usize,
     /// A point needs this many views,
     pub view_count_min: usize,
-    /// ... or two views this far apart [rad].
+    /// ... or two views this far apart (rad).
     pub parallax_min_rad: f64,
     /// Points whose depth is less certain than this share of it are left out.
     pub relative_sigma_max: f64,
@@ -80,17 +80,17 @@ impl Default for CutSettings {
 pub struct GeoreferenceSettings {
     /// How the camera is mounted.
     pub body_from_camera: Transform<Body, Camera>,
-    /// The lever arm: where the antenna is [m].
+    /// The lever arm: where the antenna is (m).
     pub antenna_in_body: Vector3<f64>,
     /// Fewer fixes tell nothing.
     pub fix_count_min: usize,
-    /// A fix further in time from the frames around it is not used [s].
+    /// A fix further in time from the frames around it is not used (s).
     pub frame_gap_max_s: f64,
     /// Keyframes beyond this many, the oldest first, keep the place that they had.
     pub node_count_max: usize,
     /// Fixes beyond this many, the oldest first, are forgotten.
     pub fix_count_max: usize,
-    /// Observable means: the rotation is known to this [rad], one standard deviation,
+    /// Observable means: the rotation is known to this (rad), one standard deviation,
     pub rotation_sigma_max_rad: f64,
     /// ... and the logarithm of the scale to this.
     pub scale_sigma_max: f64,

@@ -106,7 +106,7 @@ pub struct FramePose {
 #[derive(Clone, Debug)]
 pub struct GlobalFramePose {
     pub enu_from_camera: Transform<Enu, Camera>,
-    /// Of the camera's position, in ENU [m²].
+    /// Of the camera's position, in ENU (m²).
     pub position_covariance: Matrix3<f64>,
     pub enu_from_body: Transform<Enu, Body>,
     /// Of `enu_from_body`, `[ω; ν]`, right perturbation.
@@ -127,7 +127,7 @@ pub struct NodeSettings {
 pub struct PositionSource {
     /// What the fixes are relative to; `None` for geodetic ones.
     pub datum: Option<Datum>,
-    /// The lever arm: where the antenna is [m].
+    /// The lever arm: where the antenna is (m).
     pub antenna_in_body: Vector3<f64>,
     /// Of the first epoch: one above the highest that is known.
     pub epoch_counter: u32,

@@ -64,11 +64,11 @@ pub struct ChunkHeader {
 /// What is needed to judge what a keyframe could see, after undistortion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChunkCamera {
-    /// Focal length [px].
+    /// Focal length (px).
     pub focal_length_px: f32,
-    /// Image width [px].
+    /// Image width (px).
     pub width_px: u16,
-    /// Image height [px].
+    /// Image height (px).
     pub height_px: u16,
 }
 

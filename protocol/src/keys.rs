@@ -144,7 +144,7 @@ pub struct MapParameters {
     pub since: Option<(Epoch, ChunkNumber)>,
 }
 
-/// A horizontal box [m] in the datum of the manifest that it is compared with.
+/// A horizontal box (m) in the datum of the manifest that it is compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
     east_min_m: f64,
@@ -219,7 +219,7 @@ impl fmt::Display for MapParameters {
 }
 
 impl Area {
-    /// The box between two corners `(east, north)` [m]; `None` if not finite or turned inside out.
+    /// The box between two corners `(east, north)` (m); `None` if not finite or turned inside out.
     pub fn new(min: (f64, f64), max: (f64, f64)) -> Option<Self> {
         let finite = [min.0, min.1, max.0, max.1].iter().all(|v| v.is_finite());
         (finite && min.0 <= max.0 && min.1 <= max.1).then_some(Self {

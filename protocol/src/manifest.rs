@@ -33,7 +33,7 @@ pub struct Manifest {
     pub held: Ranges,
 }
 
-/// An axis-parallel box in ENU [m], inside out never.
+/// An axis-parallel box in ENU (m), inside out never.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoundingBox {
     min_m: Vector3<f64>,
@@ -65,12 +65,12 @@ impl BoundingBox {
         (0..3).all(legal).then_some(Self { min_m, max_m })
     }
 
-    /// The corner with the least coordinates [m].
+    /// The corner with the least coordinates (m).
     pub fn min_m(&self) -> &Vector3<f64> {
         &self.min_m
     }
 
-    /// The corner with the greatest coordinates [m].
+    /// The corner with the greatest coordinates (m).
     pub fn max_m(&self) -> &Vector3<f64> {
         &self.max_m
     }

@@ -28,7 +28,7 @@ pub struct Placement {
     pub enu_from_map: Similarity<Enu, Map>,
     /// Its covariance over `[ω; ν; ln s]`, right perturbation.
     pub covariance: Matrix7,
-    /// The stated standard deviation of one position fix [m], horizontally.
+    /// The stated standard deviation of one position fix (m), horizontally.
     pub fix_sigma_m: f64,
     /// How the map came to its global position.
     pub reference: Reference,

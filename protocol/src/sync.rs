@@ -21,21 +21,21 @@ use pulls::Pull;
 /// How eagerly a vehicle reconciles.
 #[derive(Clone, Debug)]
 pub struct SyncSettings {
-    /// Between beacons while nothing changes [s].
+    /// Between beacons while nothing changes (s).
     pub beacon_interval_s: f64,
-    /// Between beacons while things change [s].
+    /// Between beacons while things change (s).
     pub beacon_change_interval_s: f64,
     /// Both grow by this share for each neighbour heard, so that a crowd does not fill the air.
     pub beacon_share_per_neighbour: f64,
     /// Chunks asked of one holder at a time: more fill a fast link, fewer spare a slow one.
     pub window_per_holder: usize,
-    /// An unanswered pull is given to another holder after this long [s].
+    /// An unanswered pull is given to another holder after this long (s).
     pub pull_timeout_s: f64,
-    /// New chunks are left to the fast path for this long before they are pulled [s].
+    /// New chunks are left to the fast path for this long before they are pulled (s).
     pub grace_s: f64,
-    /// A neighbour that was not heard for longer is forgotten [s].
+    /// A neighbour that was not heard for longer is forgotten (s).
     pub neighbour_timeout_s: f64,
-    /// Questions about ranges or placements are repeated no faster [s].
+    /// Questions about ranges or placements are repeated no faster (s).
     pub question_interval_s: f64,
     /// Neighbours beyond this many, the longest unheard first, are forgotten.
     pub neighbour_count_max: usize,

@@ -7,6 +7,9 @@ use anyhow::{Context, Result, bail};
 
 use crate::{python, tidy};
 
+/// Private items are documented too, so links to them lead somewhere.
+const DOC_FLAGS: &str = "-D warnings -A rustdoc::private-intra-doc-links";
+
 /// Runs every step; stops at the first that fails.
 pub fn run() -> Result<()> {
     cargo("format", &["fmt", "--all", "--check"], None)?;
@@ -27,7 +30,7 @@ pub fn run() -> Result<()> {
         "--no-deps",
         "--document-private-items",
     ];
-    cargo("docs", &docs, Some(("RUSTDOCFLAGS", "-D warnings".into())))?;
+    cargo("docs", &docs, Some(("RUSTDOCFLAGS", DOC_FLAGS.into())))?;
     step("python client");
     let interpreter = python::install();
     let environment = interpreter.map(|path| ("STARLING_PYTHON", path.into_os_string()));

@@ -43,7 +43,7 @@ impl Datum {
         }
     }
 
-    /// A geodetic position in this datum's frame [m].
+    /// A geodetic position in this datum's frame (m).
     pub fn point_in_enu(
         &self,
         position: &Geodetic,
@@ -55,7 +55,7 @@ impl Datum {
         Ok(ecef_from_enu.inverse() * position.to_ecef())
     }
 
-    /// The geodetic position of a point in this datum's frame [m].
+    /// The geodetic position of a point in this datum's frame (m).
     pub fn geodetic(
         &self,
         point_in_enu: &Vector3<f64>,

@@ -5,14 +5,14 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::GeodesyError;
 
-/// Equatorial radius [m], defining constant of WGS84.
+/// Equatorial radius (m), defining constant of WGS84.
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
 /// Flattening, defining constant of WGS84.
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
 /// First eccentricity squared.
 const ECCENTRICITY_SQUARED: f64 = FLATTENING * (2.0 - FLATTENING);
 const SEMI_MINOR_M: f64 = SEMI_MAJOR_M * (1.0 - FLATTENING);
-/// Heights [m] outside are refused: nothing that flies with a camera map is there.
+/// Heights (m) outside are refused: nothing that flies with a camera map is there.
 const HEIGHT_RANGE_M: (f64, f64) = (-12_000.0, 100_000.0);
 
 /// A position on or near the WGS84 ellipsoid: latitude, longitude, ellipsoidal height, all valid.
@@ -40,7 +40,7 @@ impl Geodetic {
         })
     }
 
-    /// The position of a point in Earth-centred coordinates [m].
+    /// The position of a point in Earth-centred coordinates (m).
     ///
     /// Bowring's iteration on the parametric latitude (Bowring 1976), to the last bit in the
     /// range of heights that is accepted.
@@ -74,7 +74,7 @@ impl Geodetic {
         Self::from_degrees(latitude.to_degrees(), longitude.to_degrees(), height_m)
     }
 
-    /// This position in Earth-centred coordinates [m].
+    /// This position in Earth-centred coordinates (m).
     pub fn to_ecef(&self) -> Vector3<f64> {
         let (sine, cosine) = self.latitude_rad().sin_cos();
         let (sine_longitude, cosine_longitude) = self.longitude_rad().sin_cos();

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// Below this angle [rad] series replace the closed forms.
+/// Below this angle (rad) series replace the closed forms.
 const SMALL_ANGLE_RAD: f64 = 1e-5;
 
 /// The matrix `[v]×` with `[v]× w = v × w`.

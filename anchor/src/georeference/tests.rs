@@ -26,7 +26,7 @@ fn georeferencer(
     georeferencer
 }
 
-/// Root mean square distance [m] of points 3 m ahead of every keyframe from where they are.
+/// Root mean square distance (m) of points 3 m ahead of every keyframe from where they are.
 fn content_rms_m(frames: &[Frame], place: impl Fn(&Frame, Vector3<f64>) -> Vector3<f64>) -> f64 {
     let keyframes: Vec<&Frame> = frames
         .iter()

@@ -19,7 +19,7 @@ use super::Effect;
 use crate::georeference::{d_point_d_tangent, move_keyframes, probes};
 use crate::{AnchorSettings, Georeference, KeyframePose};
 
-/// Moves below this are never worth a message [m].
+/// Moves below this are never worth a message (m).
 const MOVE_MIN_M: f64 = 0.002;
 /// Before the map stands on the Earth: as a share of the chunk's typical depth.
 const MOVE_SHARE: f64 = 0.01;
@@ -50,7 +50,7 @@ struct Placed {
 #[derive(Clone, Copy, Debug)]
 struct Wanted {
     enu_from_chunk: Similarity<Enu, ChunkFrame>,
-    /// Of the chunk's content [m].
+    /// Of the chunk's content (m).
     sigma_m: f64,
 }
 
@@ -276,7 +276,7 @@ impl Placed {
     }
 }
 
-/// The standard deviation of the newest keyframe's position [m].
+/// The standard deviation of the newest keyframe's position (m).
 fn position_sigma_m(georeference: &Georeference) -> f64 {
     georeference
         .keyframes

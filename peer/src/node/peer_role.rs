@@ -21,7 +21,7 @@ pub struct PeerRole {
     anchors: BTreeMap<MapId, AnchorIdx>,
     /// What this vehicle's ENU is relative to: the datum of the first anchor that was placed.
     datum: Option<Datum>,
-    /// The least stated sigma of a fix of any anchor [m].
+    /// The least stated sigma of a fix of any anchor (m).
     fix_sigma_m: Option<f64>,
     own_map: Option<vslam::MapId>,
     last_verdict: Option<Verdict>,

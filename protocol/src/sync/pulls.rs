@@ -8,7 +8,7 @@ use geometry::Timestamp;
 use super::{OwnMap, Sync, SyncEffect};
 use crate::{ChunkId, ChunkNumber, VehicleId};
 
-/// A holder that fails rests this long at most [s].
+/// A holder that fails rests this long at most (s).
 const REST_MAX_S: f64 = 30.0;
 
 #[derive(Debug)]

@@ -42,7 +42,7 @@ impl Estimate {
         self.enu_from_map.transform_pose(map_from_camera)
     }
 
-    /// The covariance of a camera's position in the global frame [m²].
+    /// The covariance of a camera's position in the global frame (m²).
     ///
     /// - `pose_covariance`: of the pose in the map, `[ω; ν]`, right perturbation.
     pub fn position_covariance(
@@ -56,7 +56,7 @@ impl Estimate {
     }
 
     /// The covariance of a camera's pose in the global frame: `[ω; p]`, the rotation vector
-    /// [rad] and the position [m] in the axes of the global frame.
+    /// (rad) and the position (m) in the axes of the global frame.
     ///
     /// It grows with the distance between the camera and the newest keyframe.
     pub fn pose_covariance(

@@ -59,7 +59,7 @@ fn accepted(outcome: Outcome) -> Alignment {
     }
 }
 
-/// The largest error over the corner [m]: noise of 5 mm over hundreds of points on each plane
+/// The largest error over the corner (m): noise of 5 mm over hundreds of points on each plane
 /// ends within a millimetre or two; points alone slide by a share of their spacing of 7 cm.
 fn assert_near(found: &Similarity<Target, Source>, truth: &Similarity<Target, Source>, limit: f64) {
     for corner in [
