@@ -42,12 +42,18 @@ impl VslamMap {
     }
 
     /// An empty map whose ids follow those of this one.
-    pub(crate) fn successor(&self) -> Self {
+    pub(crate) fn successor(&self, id: MapId) -> Self {
         Self::new(
-            MapId(self.id.0 + 1),
+            id,
             KeyframeId(self.keyframes.next_id()),
             PointId(self.points.next_id()),
         )
+    }
+
+    /// Leaves out the ids that a younger map has used, so that they stay unique.
+    pub(crate) fn reserve_ids_before(&mut self, younger: &Self) {
+        self.keyframes.skip_to(younger.keyframes.next_id());
+        self.points.skip_to(younger.points.next_id());
     }
 
     pub fn id(&self) -> MapId {

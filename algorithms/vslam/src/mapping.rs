@@ -46,6 +46,12 @@ impl Mapper {
         self.unsettled = map.keyframes().map(crate::Keyframe::id).collect();
     }
 
+    /// Goes on with a map that was left; its keyframes have been settled long ago.
+    pub(crate) fn resume(&mut self) {
+        self.recent.clear();
+        self.unsettled.clear();
+    }
+
     /// Makes a keyframe of a tracked frame and brings the map around it up to date.
     pub(crate) fn insert(
         &mut self,

@@ -1,6 +1,7 @@
 //! Where a camera is in a map, without knowing where it was.
 
-use features::matching::{MatchSettings, match_mutual};
+use features::Descriptor;
+use features::matching::{MatchSettings, match_mutual, nearest};
 use geometry::absolute_pose::{PointObservation, RansacSettings, ransac_absolute_pose};
 use geometry::{Camera, Map, Transform};
 use rand_chacha::ChaCha8Rng;
@@ -16,8 +17,14 @@ const NEIGHBOURS: usize = 3;
 const INLIERS_MIN: usize = 12;
 /// A place counts as recognised if this many keypoints agree in the end.
 const RECOGNISED_INLIERS_MIN: usize = 40;
-/// Keyframes tried per frame.
-const CANDIDATES_MAX: usize = 6;
+/// Keyframes tried per frame because they look alike.
+const RANKED_CANDIDATES: usize = 4;
+/// Keypoints of a frame that vote for keyframes.
+const SAMPLED_KEYPOINTS: usize = 200;
+/// Points of the map that they are compared with.
+const SEARCHED_POINTS_MAX: usize = 8000;
+/// Bits in which a keypoint and a point may differ to count as alike.
+const LOOK_ALIKE_DISTANCE_MAX: u32 = 50;
 
 /// The pose of a frame that looks at much the same as a keyframe, by descriptors alone. Names the
 /// points that agree in `frame`.
@@ -93,7 +100,7 @@ impl Relocaliser {
         frame: &mut Frame,
         rng: &mut ChaCha8Rng,
     ) -> Option<Tracked> {
-        for candidate in self.candidates(map) {
+        for candidate in self.candidates(map, frame) {
             let Some(pose) = locate_near(map, candidate, frame, rng) else {
                 continue;
             };
@@ -104,14 +111,50 @@ impl Relocaliser {
         None
     }
 
-    fn candidates(&mut self, map: &VslamMap) -> Vec<KeyframeId> {
+    /// The keyframes that see most of what the frame's descriptors look like, the newest ones, and
+    /// one after the other of all.
+    fn candidates(&mut self, map: &VslamMap, frame: &Frame) -> Vec<KeyframeId> {
         let all: Vec<KeyframeId> = map.keyframes().map(crate::Keyframe::id).collect();
-        let mut candidates: Vec<KeyframeId> = all.iter().rev().take(2).copied().collect();
-        for _ in candidates.len()..CANDIDATES_MAX.min(all.len()) {
-            self.next = (self.next + 1) % all.len().max(1) as u32;
-            candidates.push(all[self.next as usize]);
+        if all.is_empty() {
+            return all;
+        }
+        self.next = self.next.wrapping_add(1);
+        let ranked = map.seen_by(self.look_alikes(map, frame).into_iter());
+        let mut candidates: Vec<KeyframeId> = ranked
+            .iter()
+            .take(RANKED_CANDIDATES)
+            .map(|one| one.keyframe)
+            .collect();
+        let newest = all.last().copied();
+        let next = all.get(self.next as usize % all.len()).copied();
+        for other in newest.into_iter().chain(next) {
+            if !candidates.contains(&other) {
+                candidates.push(other);
+            }
         }
         candidates
+    }
+
+    /// The most similar point for each of a sample of the frame's descriptors. Of a large map a
+    /// different part is searched each time.
+    fn look_alikes(&self, map: &VslamMap, frame: &Frame) -> Vec<PointId> {
+        let point_stride = map.point_count().div_ceil(SEARCHED_POINTS_MAX).max(1);
+        let searched: Vec<(PointId, Descriptor)> = map
+            .points()
+            .skip(self.next as usize % point_stride)
+            .step_by(point_stride)
+            .map(|point| (point.id(), *point.descriptor()))
+            .collect();
+        let descriptors: Vec<Descriptor> = searched.iter().map(|(_, one)| *one).collect();
+        let stride = frame.observations.len().div_ceil(SAMPLED_KEYPOINTS).max(1);
+        frame
+            .observations
+            .iter()
+            .step_by(stride)
+            .filter_map(|one| nearest(&one.descriptor, &descriptors))
+            .filter(|found| found.distance <= LOOK_ALIKE_DISTANCE_MAX)
+            .map(|found| searched[found.train_idx as usize].0)
+            .collect()
     }
 }
 

@@ -1,5 +1,9 @@
 //! The machine: frames in, poses and a map out.
 
+mod backfill;
+mod follow;
+
+use backfill::Backfill;
 use camera::{CameraModel, Image};
 use features::{Extractor, ExtractorSettings, Features};
 use geometry::Timestamp;
@@ -12,23 +16,12 @@ use crate::mapping::{Insertion, Mapper, update_neighbours};
 use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR, Optics};
 use crate::relocalise::Relocaliser;
 use crate::start::Starter;
-use crate::tracking::{
-    KeyframeClock, Motion, Tracked, TrackedFrame, track, tracked_points, wants_keyframe,
-};
+use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, tracked_points};
 use crate::trajectory::FrameRecord;
 use crate::{
     FrameRefusal, FrameReport, KeyframeId, LostReason, MapId, PointId, StartReason, TrackingState,
     TrajectoryEntry, VslamMap, VslamSettings,
 };
-
-/// After so many frames without a pose the last motion says nothing any more.
-const COASTED_MAX: u32 = 3;
-/// A map with fewer keyframes is given up when it is lost.
-const SMALL_MAP_KEYFRAMES: usize = 6;
-/// How long a small map is looked for, frames.
-const SMALL_MAP_PATIENCE: u32 = 10;
-/// How long a map is looked for before a new one is begun beside it, seconds.
-const PATIENCE_S: f64 = 5.0;
 
 /// Monocular simultaneous localisation and mapping.
 ///
@@ -47,7 +40,11 @@ pub struct Vslam {
     map: VslamMap,
     /// The largest of the maps that were lost.
     earlier: Option<VslamMap>,
+    /// Frames from before the map was born that are still to be found in it.
+    backfill: Backfill,
     trajectory: Vec<FrameRecord>,
+    newest_at: Option<Timestamp>,
+    map_count: u32,
 }
 
 #[derive(Debug)]
@@ -95,7 +92,10 @@ impl Vslam {
             relocaliser: Relocaliser::default(),
             map: VslamMap::new(MapId(0), KeyframeId(0), PointId(0)),
             earlier: None,
+            backfill: Backfill::default(),
             trajectory: Vec::new(),
+            newest_at: None,
+            map_count: 1,
             settings,
         }
     }
@@ -107,6 +107,7 @@ impl Vslam {
             let outcome = Outcome::without_pose(self.refused(refusal));
             return self.report(captured_at, outcome, 0);
         }
+        self.newest_at = Some(captured_at);
         self.extractor.extract(image, &mut self.features);
         let frame = Frame::new(&self.optics, &self.features, frame_idx, captured_at);
         let keypoint_count = frame.observations.len();
@@ -156,8 +157,7 @@ impl Vslam {
         if got != expected {
             return Some(FrameRefusal::ImageSize { got, expected });
         }
-        let last = self.trajectory.last()?;
-        (captured_at <= last.captured_at).then_some(FrameRefusal::OutOfOrder)
+        (captured_at <= self.newest_at?).then_some(FrameRefusal::OutOfOrder)
     }
 
     fn refused(&self, refusal: FrameRefusal) -> TrackingState {
@@ -171,11 +171,15 @@ impl Vslam {
         }
     }
 
-    fn start(&mut self, frame: Frame) -> Outcome {
+    fn start(&mut self, mut frame: Frame) -> Outcome {
+        if let Some(tracked) = self.return_to_earlier(&mut frame) {
+            return self.accept(frame, tracked);
+        }
         let Mode::Starting(starter) = &mut self.mode else {
             unreachable!("called only while starting");
         };
         let captured_at = frame.captured_at;
+        self.backfill.remember(&frame);
         let into = (&self.map, &mut self.workspace);
         match starter.advance(&self.optics, frame, into, &mut self.rng) {
             Err(reason) => Outcome::without_pose(TrackingState::Starting { reason }),
@@ -199,7 +203,7 @@ impl Vslam {
         update_neighbours(&mut self.map, keyframe);
         let tracked = Tracked {
             camera_from_map,
-            covariance: nalgebra::Matrix6::zeros(),
+            covariance: None,
             inlier_count,
             reference: keyframe,
         };
@@ -207,14 +211,16 @@ impl Vslam {
             .map
             .keyframe(keyframe)
             .expect("it was there a line ago");
-        let motion = Motion::starting_at(TrackedFrame {
+        let start = TrackedFrame {
             captured_at,
             place: self
                 .map
                 .place(keyframe, &camera_from_map)
                 .expect("the keyframe is in the map"),
             points: tracked_points(last.observations()),
-        });
+        };
+        self.backfill.begin(start.clone());
+        let motion = Motion::starting_at(start);
         self.mode = Mode::Following {
             motion,
             clock: KeyframeClock {
@@ -229,96 +235,6 @@ impl Vslam {
                 settled: Vec::new(),
             }),
         }
-    }
-
-    fn follow(&mut self, mut frame: Frame) -> Outcome {
-        let Mode::Following { motion, .. } = &mut self.mode else {
-            unreachable!("called only while following");
-        };
-        let mut result = Err(LostReason::UnknownPlace);
-        if motion.missed_count <= COASTED_MAX {
-            result = track(
-                &self.optics,
-                &mut self.map,
-                motion,
-                &mut frame,
-                &mut self.rng,
-            );
-        }
-        let result = result.or_else(|reason| {
-            frame.forget_points();
-            self.relocaliser
-                .locate(&self.optics, &mut self.map, &mut frame, &mut self.rng)
-                .ok_or(reason)
-        });
-        match result {
-            Ok(tracked) => self.accept(frame, tracked),
-            Err(reason) => self.miss(&frame, reason),
-        }
-    }
-
-    fn accept(&mut self, frame: Frame, mut tracked: Tracked) -> Outcome {
-        let Mode::Following { motion, clock } = &mut self.mode else {
-            unreachable!("called only while following");
-        };
-        let captured_at = frame.captured_at;
-        let mut points = tracked_points(&frame.observations);
-        let mut insertion = None;
-        if wants_keyframe(&self.map, clock, &frame, &tracked) {
-            let pose = (tracked.camera_from_map, tracked.reference);
-            let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
-            let keyframe = self
-                .map
-                .keyframe(inserted.keyframe)
-                .expect("the newest keyframe is never culled");
-            points = tracked_points(keyframe.observations());
-            tracked.camera_from_map = *keyframe.camera_from_map();
-            tracked.reference = inserted.keyframe;
-            clock.last_keyframe_at = captured_at;
-            insertion = Some(inserted);
-        }
-        let place = self
-            .map
-            .place(tracked.reference, &tracked.camera_from_map)
-            .expect("the reference is in the map");
-        motion.advance(
-            &self.map,
-            TrackedFrame {
-                captured_at,
-                place,
-                points,
-            },
-        );
-        Outcome {
-            state: TrackingState::Tracking,
-            tracked: Some(tracked),
-            insertion,
-        }
-    }
-
-    fn miss(&mut self, frame: &Frame, reason: LostReason) -> Outcome {
-        let Mode::Following { motion, .. } = &mut self.mode else {
-            unreachable!("called only while following");
-        };
-        motion.missed_count += 1;
-        let lost_s = frame.captured_at - motion.last.captured_at;
-        let small = self.map.keyframe_count() < SMALL_MAP_KEYFRAMES;
-        let give_up = (small && motion.missed_count >= SMALL_MAP_PATIENCE) || lost_s > PATIENCE_S;
-        if give_up {
-            self.restart();
-        }
-        Outcome::without_pose(TrackingState::Lost { reason })
-    }
-
-    /// Begins a new map; the largest of the old ones is kept.
-    fn restart(&mut self) {
-        let successor = self.map.successor();
-        let old = std::mem::replace(&mut self.map, successor);
-        let earlier_count = self.earlier.as_ref().map_or(0, VslamMap::keyframe_count);
-        if old.keyframe_count() > earlier_count {
-            self.earlier = Some(old);
-        }
-        self.mode = Mode::Starting(Starter::default());
     }
 
     fn report(
@@ -347,7 +263,7 @@ impl Vslam {
             map_revision: self.map.revision(),
             state: outcome.state,
             map_from_camera: pose,
-            pose_covariance: tracked.as_ref().map(|tracked| tracked.covariance),
+            pose_covariance: tracked.as_ref().and_then(|tracked| tracked.covariance),
             inlier_count: tracked.as_ref().map_or(0, |tracked| tracked.inlier_count),
             keypoint_count,
             new_keyframe: outcome

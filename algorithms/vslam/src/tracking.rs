@@ -45,7 +45,8 @@ pub(crate) struct TrackedPoint {
 #[derive(Clone, Debug)]
 pub(crate) struct Tracked {
     pub(crate) camera_from_map: Transform<Camera, Map>,
-    pub(crate) covariance: Matrix6<f64>,
+    /// Unknown for the frame with which a map starts.
+    pub(crate) covariance: Option<Matrix6<f64>>,
     pub(crate) inlier_count: usize,
     /// The keyframe that shares most points with the frame.
     pub(crate) reference: KeyframeId,
@@ -128,7 +129,7 @@ pub(crate) fn track_local_map(
         .map_or(local.reference, |one| one.keyframe);
     Ok(Tracked {
         camera_from_map: fit.camera_from_map,
-        covariance: fit.covariance,
+        covariance: Some(fit.covariance),
         inlier_count: fit.inlier_count,
         reference,
     })

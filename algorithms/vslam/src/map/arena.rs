@@ -27,6 +27,14 @@ impl<T> Arena<T> {
         self.first_id + u32::try_from(self.slots.len()).expect("ids are exhausted after 2^32 items")
     }
 
+    /// Makes the next id at least this; the ids in between stay empty.
+    pub(crate) fn skip_to(&mut self, next_id: u32) {
+        let slot_count = next_id.saturating_sub(self.first_id) as usize;
+        if slot_count > self.slots.len() {
+            self.slots.resize_with(slot_count, || None);
+        }
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.len
     }

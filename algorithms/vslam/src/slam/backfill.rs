@@ -1,0 +1,81 @@
+//! Finds the frames from before the map was born in the map, one with each later frame.
+
+use std::collections::VecDeque;
+
+use rand_chacha::ChaCha8Rng;
+
+use crate::VslamMap;
+use crate::frame::Frame;
+use crate::optics::Optics;
+use crate::tracking::{Motion, TrackedFrame, track, tracked_points};
+use crate::trajectory::FrameRecord;
+
+/// Frames remembered; the oldest are forgotten first.
+const FRAMES_MAX: usize = 120;
+
+/// Frames that wait to be localised from their own image.
+#[derive(Debug, Default)]
+pub(super) struct Backfill {
+    frames: VecDeque<Frame>,
+    /// The last frame that was found; the next one to find came just before it.
+    later: Option<TrackedFrame>,
+}
+
+impl Backfill {
+    pub(super) fn remember(&mut self, frame: &Frame) {
+        if self.frames.len() == FRAMES_MAX {
+            self.frames.pop_front();
+        }
+        self.frames.push_back(frame.clone());
+    }
+
+    /// The newest frame remembered is the one with which the map started.
+    pub(super) fn begin(&mut self, start: TrackedFrame) {
+        self.frames.pop_back();
+        self.later = Some(start);
+    }
+
+    /// Looks for the newest of the frames, going backward from the start of the map.
+    pub(super) fn step(
+        &mut self,
+        (optics, map): (&Optics, &mut VslamMap),
+        trajectory: &mut [FrameRecord],
+        rng: &mut ChaCha8Rng,
+    ) {
+        let (Some(mut frame), Some(later)) = (self.frames.pop_back(), &self.later) else {
+            return;
+        };
+        let Some(found) = find(optics, map, later, &mut frame, rng) else {
+            return;
+        };
+        if let Some(record) = trajectory.get_mut(frame.frame_idx as usize) {
+            record.map_id = map.id();
+            record.place = Some(found.place);
+        }
+        self.later = Some(found);
+    }
+}
+
+fn find(
+    optics: &Optics,
+    map: &mut VslamMap,
+    later: &TrackedFrame,
+    frame: &mut Frame,
+    rng: &mut ChaCha8Rng,
+) -> Option<TrackedFrame> {
+    let captured_at = frame.captured_at;
+    let keyframe = map.keyframes().find(|one| one.frame_idx == frame.frame_idx);
+    if let Some(keyframe) = keyframe {
+        return Some(TrackedFrame {
+            captured_at,
+            place: map.place(keyframe.id, &keyframe.camera_from_map)?,
+            points: tracked_points(&keyframe.observations),
+        });
+    }
+    let tracked = track(optics, map, &Motion::starting_at(later.clone()), frame, rng).ok()?;
+    Some(TrackedFrame {
+        captured_at,
+        place: map.place(tracked.reference, &tracked.camera_from_map)?,
+        points: tracked_points(&frame.observations),
+    })
+}

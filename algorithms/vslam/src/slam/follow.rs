@@ -1,0 +1,156 @@
+//! Frames while there is a map: tracked, found again, or lost.
+
+use super::{Backfill, Mode, Outcome, Vslam};
+use crate::frame::Frame;
+use crate::start::Starter;
+use crate::tracking::{
+    KeyframeClock, Motion, Tracked, TrackedFrame, track, tracked_points, wants_keyframe,
+};
+use crate::{LostReason, MapId, TrackingState, VslamMap};
+
+/// After so many frames without a pose the last motion says nothing any more.
+const COASTED_MAX: u32 = 3;
+/// A map with fewer keyframes is given up when it is lost.
+const SMALL_MAP_KEYFRAMES: usize = 6;
+/// How long a small map is looked for, frames.
+const SMALL_MAP_PATIENCE: u32 = 10;
+/// How long a map is looked for before a new one is begun beside it, seconds.
+const PATIENCE_S: f64 = 5.0;
+/// Every so many frames an earlier map is looked for the camera.
+const RETURN_INTERVAL_FRAMES: u64 = 5;
+
+impl Vslam {
+    pub(super) fn follow(&mut self, mut frame: Frame) -> Outcome {
+        if let Some(tracked) = self.return_to_earlier(&mut frame) {
+            return self.accept(frame, tracked);
+        }
+        let Mode::Following { motion, .. } = &mut self.mode else {
+            unreachable!("called only while following");
+        };
+        let mut result = Err(LostReason::UnknownPlace);
+        if motion.missed_count <= COASTED_MAX {
+            result = track(
+                &self.optics,
+                &mut self.map,
+                motion,
+                &mut frame,
+                &mut self.rng,
+            );
+        }
+        let result = result.or_else(|reason| {
+            frame.forget_points();
+            self.relocaliser
+                .locate(&self.optics, &mut self.map, &mut frame, &mut self.rng)
+                .ok_or(reason)
+        });
+        match result {
+            Ok(tracked) => self.accept(frame, tracked),
+            Err(reason) => self.miss(&frame, reason),
+        }
+    }
+
+    pub(super) fn accept(&mut self, frame: Frame, mut tracked: Tracked) -> Outcome {
+        let Mode::Following { motion, clock } = &mut self.mode else {
+            unreachable!("called only while following");
+        };
+        let captured_at = frame.captured_at;
+        let mut points = tracked_points(&frame.observations);
+        let mut insertion = None;
+        if wants_keyframe(&self.map, clock, &frame, &tracked) {
+            let pose = (tracked.camera_from_map, tracked.reference);
+            let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
+            let keyframe = self
+                .map
+                .keyframe(inserted.keyframe)
+                .expect("the newest keyframe is never culled");
+            points = tracked_points(keyframe.observations());
+            tracked.camera_from_map = *keyframe.camera_from_map();
+            tracked.reference = inserted.keyframe;
+            clock.last_keyframe_at = captured_at;
+            insertion = Some(inserted);
+        } else {
+            self.backfill.step(
+                (&self.optics, &mut self.map),
+                &mut self.trajectory,
+                &mut self.rng,
+            );
+        }
+        let place = self
+            .map
+            .place(tracked.reference, &tracked.camera_from_map)
+            .expect("the reference is in the map");
+        motion.advance(
+            &self.map,
+            TrackedFrame {
+                captured_at,
+                place,
+                points,
+            },
+        );
+        Outcome {
+            state: TrackingState::Tracking,
+            tracked: Some(tracked),
+            insertion,
+        }
+    }
+
+    fn miss(&mut self, frame: &Frame, reason: LostReason) -> Outcome {
+        let Mode::Following { motion, .. } = &mut self.mode else {
+            unreachable!("called only while following");
+        };
+        motion.missed_count += 1;
+        let lost_s = frame.captured_at - motion.last.captured_at;
+        let small = self.map.keyframe_count() < SMALL_MAP_KEYFRAMES;
+        let give_up = (small && motion.missed_count >= SMALL_MAP_PATIENCE) || lost_s > PATIENCE_S;
+        if give_up {
+            self.restart();
+        }
+        Outcome::without_pose(TrackingState::Lost { reason })
+    }
+
+    /// Begins a new map; the largest of the old ones is kept.
+    fn restart(&mut self) {
+        let successor = self.map.successor(MapId(self.map_count));
+        self.map_count += 1;
+        let old = std::mem::replace(&mut self.map, successor);
+        let earlier_count = self.earlier.as_ref().map_or(0, VslamMap::keyframe_count);
+        if old.keyframe_count() >= earlier_count.max(SMALL_MAP_KEYFRAMES) {
+            self.earlier = Some(old);
+        }
+        self.backfill = Backfill::default();
+        self.mode = Mode::Starting(Starter::default());
+    }
+
+    /// Looks now and then whether the camera is back in the map that it lost; then the younger,
+    /// smaller map is given up for that.
+    pub(super) fn return_to_earlier(&mut self, frame: &mut Frame) -> Option<Tracked> {
+        let earlier = self.earlier.as_mut()?;
+        let larger = earlier.keyframe_count() > self.map.keyframe_count();
+        if !larger || !frame.frame_idx.is_multiple_of(RETURN_INTERVAL_FRAMES) {
+            return None;
+        }
+        let found = self
+            .relocaliser
+            .locate(&self.optics, earlier, frame, &mut self.rng);
+        let Some(tracked) = found else {
+            frame.forget_points();
+            return None;
+        };
+        earlier.reserve_ids_before(&self.map);
+        let place = earlier.place(tracked.reference, &tracked.camera_from_map)?;
+        self.map = self.earlier.take()?;
+        self.backfill = Backfill::default();
+        self.mapper.resume();
+        self.mode = Mode::Following {
+            motion: Motion::starting_at(TrackedFrame {
+                captured_at: frame.captured_at,
+                place,
+                points: tracked_points(&frame.observations),
+            }),
+            clock: KeyframeClock {
+                last_keyframe_at: frame.captured_at,
+            },
+        };
+        Some(tracked)
+    }
+}
