@@ -1,6 +1,4 @@
-//! Monocular visual SLAM: images in, poses, keyframes and a sparse map out.
-//!
-//! [`Vslam`] is the machine. It knows nothing of metres, of the Earth, or of other vehicles.
+#![doc = include_str!("../README.md")]
 
 mod block_cholesky;
 pub mod bundle;

@@ -2,6 +2,8 @@
 
 mod backfill;
 mod follow;
+#[cfg(test)]
+mod tests;
 
 use backfill::Backfill;
 use camera::{CameraModel, Image};

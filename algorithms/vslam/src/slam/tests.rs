@@ -1,0 +1,266 @@
+//! The whole machine on small rendered worlds.
+
+mod world;
+
+use camera::Image;
+use geometry::{Map, Timestamp, umeyama};
+use nalgebra::Vector3;
+
+use self::world::{Pose, World, camera};
+use crate::{
+    FrameRefusal, FrameReport, LostReason, StartReason, TrackingState, Vslam, VslamSettings,
+};
+
+/// Frames per second of the made-up camera.
+const RATE_HZ: f64 = 15.0;
+
+fn stamp(frame: usize) -> Timestamp {
+    Timestamp::from_seconds(frame as f64 / RATE_HZ).unwrap()
+}
+
+fn machine() -> Vslam {
+    Vslam::new(camera(), VslamSettings::default())
+}
+
+/// Sideways along the wall with some turning, as a hovering vehicle would.
+fn pose(frame: usize) -> Pose {
+    let phase = frame as f64 * 0.05;
+    Pose {
+        position: Vector3::new(
+            -0.8 + 0.03 * frame as f64,
+            0.1 * phase.sin(),
+            0.1 * phase.cos(),
+        ),
+        yaw_rad: 0.1 * phase.sin(),
+        pitch_rad: 0.03 * (2.0 * phase).sin(),
+    }
+}
+
+/// Forty frames of a walk, ten blank ones, and a return to the middle of the walk.
+fn walk_blackout_return(slam: &mut Vslam) -> Vec<FrameReport> {
+    let world = World::new(7);
+    let blank = Image::filled(world::WIDTH, world::HEIGHT, 90);
+    let mut reports = Vec::new();
+    for frame in 0..60 {
+        let image = match frame {
+            0..40 => world.render(&pose(frame)),
+            40..50 => blank.clone(),
+            _ => world.render(&pose(70 - frame)),
+        };
+        reports.push(slam.process(&image, stamp(frame)));
+    }
+    reports
+}
+
+#[test]
+fn starts_tracks_loses_and_finds_itself_again() {
+    let mut slam = machine();
+    let reports = walk_blackout_return(&mut slam);
+    let tracking = |range: std::ops::Range<usize>| {
+        let frames = &reports[range];
+        frames
+            .iter()
+            .filter(|one| one.state == TrackingState::Tracking)
+            .count()
+    };
+    assert!(tracking(0..40) >= 28, "{:?}", states(&reports));
+    assert_eq!(tracking(40..50), 0);
+    assert!(tracking(50..60) >= 8, "{:?}", states(&reports));
+    assert!(
+        reports[40].state
+            == TrackingState::Lost {
+                reason: LostReason::FewKeypoints
+            }
+    );
+    let keyframes: Vec<_> = reports.iter().filter_map(|one| one.new_keyframe).collect();
+    assert!(keyframes.len() >= 3);
+    assert!(keyframes.is_sorted());
+    // The pose of a report is what the caller may rely on: it comes with its uncertainty.
+    let known = reports.iter().filter(|one| one.map_from_camera.is_some());
+    assert!(
+        known
+            .skip(1)
+            .all(|one| one.pose_covariance.is_some_and(|c| c.trace() > 0.0))
+    );
+}
+
+#[test]
+fn the_trajectory_is_that_of_the_camera_up_to_scale() {
+    // A keypoint is off by a third of a pixel, so a point at 3 m by 3 mm and a pose from
+    // a hundred of them by less; drift over 1 m of path adds to that.
+    let mut slam = machine();
+    walk_blackout_return(&mut slam);
+    let pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)> = slam
+        .trajectory()
+        .iter()
+        .filter_map(|entry| {
+            let frame = entry.frame_idx as usize;
+            let truth = pose(if frame < 50 { frame } else { 70 - frame }).position;
+            Some((truth, *entry.map_from_camera?.translation(), 1.0))
+        })
+        .collect();
+    // The frames of the start-up are found afterwards, the blank ones are not.
+    assert!(pairs.len() >= 45 && pairs.len() <= 50, "{}", pairs.len());
+    let truth_from_map = umeyama::<Map, Map>(pairs.iter().copied(), true).unwrap();
+    let worst = pairs
+        .iter()
+        .map(|(truth, estimate, _)| (truth - truth_from_map * *estimate).norm())
+        .fold(0.0, f64::max);
+    assert!(worst < 0.03, "{worst} m");
+}
+
+#[test]
+fn a_camera_that_comes_back_after_long_returns_to_its_map() {
+    let world = World::new(7);
+    let blank = Image::filled(world::WIDTH, world::HEIGHT, 90);
+    let mut slam = machine();
+    // Until the map is large enough to be kept, then longer than the machine has patience.
+    for frame in 0..60 {
+        slam.process(&world.render(&pose(frame)), stamp(frame));
+    }
+    let kept = (slam.map().id(), slam.map().keyframe_count());
+    for frame in 60..140 {
+        slam.process(&blank, stamp(frame));
+    }
+    assert_eq!(slam.map().keyframe_count(), 0, "a new map was begun");
+    assert_eq!(
+        (slam.largest_map().id(), slam.largest_map().keyframe_count()),
+        kept
+    );
+    let back: Vec<_> = (140..150)
+        .map(|frame| slam.process(&world.render(&pose(180 - frame)), stamp(frame)))
+        .collect();
+    let last = back.last().unwrap();
+    assert_eq!((last.state, last.map_id), (TrackingState::Tracking, kept.0));
+}
+
+#[test]
+fn two_runs_agree_bit_for_bit() {
+    let (mut first, mut second) = (machine(), machine());
+    assert_eq!(
+        walk_blackout_return(&mut first),
+        walk_blackout_return(&mut second)
+    );
+    assert_eq!(first.trajectory(), second.trajectory());
+}
+
+#[test]
+fn the_map_is_consistent() {
+    let mut slam = machine();
+    walk_blackout_return(&mut slam);
+    let map = slam.map();
+    for point in map.points() {
+        assert!(point.view_count() >= 2);
+        assert!(
+            point
+                .covariance_in_map()
+                .iter()
+                .all(|value| value.is_finite())
+        );
+        for view in point.views() {
+            let keyframe = map.keyframe(view.keyframe).unwrap();
+            let observation = &keyframe.observations()[view.observation_idx as usize];
+            assert_eq!(observation.point, Some(point.id()));
+        }
+    }
+    for keyframe in map.keyframes() {
+        for (idx, observation) in keyframe.observations().iter().enumerate() {
+            let Some(point) = observation.point else {
+                continue;
+            };
+            let views = map.point(point).unwrap().views();
+            assert!(views.iter().any(|view| {
+                view.keyframe == keyframe.id() && view.observation_idx as usize == idx
+            }));
+        }
+    }
+}
+
+#[test]
+fn settled_keyframes_are_named_once() {
+    let mut slam = machine();
+    let reports = walk_blackout_return(&mut slam);
+    let settled: Vec<_> = reports.iter().flat_map(|one| one.settled.clone()).collect();
+    let mut unique = settled.clone();
+    unique.sort_unstable();
+    unique.dedup();
+    assert_eq!(unique.len(), settled.len());
+}
+
+#[test]
+fn turning_on_the_spot_is_no_start() {
+    let world = World::new(3);
+    let mut slam = machine();
+    for frame in 0..15 {
+        let turned = Pose {
+            position: Vector3::zeros(),
+            yaw_rad: 0.01 * frame as f64,
+            pitch_rad: 0.0,
+        };
+        let report = slam.process(&world.render(&turned), stamp(frame));
+        assert!(
+            matches!(report.state, TrackingState::Starting { .. }),
+            "frame {frame}"
+        );
+    }
+}
+
+#[test]
+fn images_without_content_are_no_start() {
+    let mut slam = machine();
+    let mut noise = 1_u32;
+    for frame in 0..6 {
+        let mut image = Image::filled(world::WIDTH, world::HEIGHT, 128);
+        if frame >= 3 {
+            for pixel in image.pixels_mut() {
+                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                *pixel = (noise >> 24) as u8;
+            }
+        }
+        let report = slam.process(&image, stamp(frame));
+        assert!(matches!(report.state, TrackingState::Starting { .. }));
+        assert_eq!(report.map_from_camera, None);
+    }
+    assert_eq!(slam.map().keyframe_count(), 0);
+}
+
+#[test]
+fn wrong_sizes_and_stamps_are_refused_and_change_nothing() {
+    let world = World::new(7);
+    let mut slam = machine();
+    slam.process(&world.render(&pose(0)), stamp(5));
+    let refused =
+        |slam: &mut Vslam, image: &Image, frame: usize| slam.process(image, stamp(frame)).state;
+    for (width, height) in [(1, 1), (world::WIDTH, world::HEIGHT - 1), (640, 480)] {
+        let state = refused(&mut slam, &Image::filled(width, height, 0), 6);
+        let TrackingState::Starting {
+            reason: StartReason::Refused(refusal),
+        } = state
+        else {
+            panic!("{state}");
+        };
+        let expected = (world::WIDTH, world::HEIGHT);
+        assert_eq!(
+            refusal,
+            FrameRefusal::ImageSize {
+                got: (width, height),
+                expected
+            }
+        );
+    }
+    let early = refused(&mut slam, &world.render(&pose(1)), 5);
+    assert_eq!(
+        early.to_string(),
+        "starting: the frame is not newer than the one before"
+    );
+    // The frame is still the first reference: the walk that follows starts from it.
+    let reports: Vec<_> = (1..30)
+        .map(|frame| slam.process(&world.render(&pose(frame)), stamp(10 + frame)))
+        .collect();
+    assert!(reports.last().unwrap().state == TrackingState::Tracking);
+    assert_eq!(slam.trajectory().len(), 34);
+}
+
+fn states(reports: &[FrameReport]) -> Vec<String> {
+    reports.iter().map(|one| one.state.to_string()).collect()
+}
