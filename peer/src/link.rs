@@ -6,6 +6,7 @@
 
 mod answer;
 mod counters;
+mod error;
 mod inbox;
 mod publisher;
 mod question;
@@ -18,6 +19,7 @@ use zenoh::Wait;
 
 pub use answer::{Answer, Holdings, Question};
 pub use counters::{Counters, Traffic};
+pub use error::LinkError;
 pub use inbox::{Inbox, LinkEvent, Origin, RequestId, Sample, inbox};
 pub use publisher::Class;
 pub use question::{ClientError, Reply, ask};
@@ -27,21 +29,6 @@ use publisher::Publisher;
 
 /// How long a request waits for its holder.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
-
-/// Why there is no session.
-#[derive(Debug, thiserror::Error)]
-pub enum LinkError {
-    #[error("zenoh refuses {field} = {value}: {reason}")]
-    Setting {
-        field: String,
-        value: String,
-        reason: String,
-    },
-    #[error("cannot open a zenoh session that listens on {listen:?}; is the port in use? {reason}")]
-    Open { listen: Vec<String>, reason: String },
-    #[error("zenoh cannot declare {what}: {reason}")]
-    Declare { what: String, reason: String },
-}
 
 /// What a vehicle subscribes to.
 pub const SUBSCRIPTIONS: [&str; 5] = [

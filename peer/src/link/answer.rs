@@ -7,7 +7,6 @@ use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
 
-use super::session::declare_error;
 use super::{Counters, LinkError};
 
 /// What a vehicle can answer with.
@@ -79,7 +78,7 @@ pub(super) fn declare(
             })
             .background()
             .wait()
-            .map_err(|error| declare_error(&key, &error))?;
+            .map_err(|error| LinkError::declare(&key, &error))?;
     }
     Ok(())
 }

@@ -6,9 +6,10 @@ use std::time::Duration;
 use zenoh::Wait;
 use zenoh::handlers::CallbackDrop;
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::query::{ConsolidationMode, QueryTarget, Selector};
 use zenoh::sample::Locality;
 
+use super::error::plain;
 use super::{Counters, Inbox, LinkError, LinkEvent, RequestId};
 
 /// One reply to [`ask`].
@@ -21,13 +22,9 @@ pub struct Reply {
 /// Why nobody could be asked.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    #[error("no answer to {selector}; tried {endpoints:?}: {error}")]
-    Session {
-        selector: String,
-        endpoints: Vec<String>,
-        error: LinkError,
-    },
-    #[error("cannot ask {selector}: {reason}")]
+    #[error(transparent)]
+    Session(#[from] LinkError),
+    #[error("cannot ask {selector:?}: {reason}")]
     Selector { selector: String, reason: String },
 }
 
@@ -37,21 +34,20 @@ pub fn ask(
     selector: &str,
     timeout: Duration,
 ) -> Result<Vec<Reply>, ClientError> {
-    let session = super::session::open_client(endpoints).map_err(|error| ClientError::Session {
+    let refuse = |error: zenoh::Error| ClientError::Selector {
         selector: selector.to_owned(),
-        endpoints: endpoints.to_vec(),
-        error,
-    })?;
+        reason: plain(&error.to_string()),
+    };
+    // Before anybody is looked for who could be asked.
+    let selector = Selector::try_from(selector).map_err(refuse)?;
+    let session = super::session::open_client(endpoints)?;
     let replies = session
-        .get(selector)
+        .get(&selector)
         .target(QueryTarget::All)
         .consolidation(ConsolidationMode::None)
         .timeout(timeout)
         .wait()
-        .map_err(|error| ClientError::Selector {
-            selector: selector.to_owned(),
-            reason: error.to_string(),
-        })?;
+        .map_err(refuse)?;
     let mut received = Vec::new();
     while let Ok(reply) = replies.recv() {
         match reply.result() {

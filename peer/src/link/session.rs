@@ -6,6 +6,7 @@ use zenoh::Wait;
 use zenoh::config::WhatAmI;
 use zenoh::sample::SampleKind;
 
+use super::error::{check_endpoints, plain};
 use super::inbox::decode_origin;
 use super::{Counters, Inbox, LinkError, LinkEvent, Sample};
 use crate::config::{ZenohConfig, ZenohMode};
@@ -30,6 +31,8 @@ const SETTINGS: [(&str, &str); 7] = [
 ];
 
 pub(super) fn open(config: &ZenohConfig) -> Result<zenoh::Session, LinkError> {
+    check_endpoints(&config.listen)?;
+    check_endpoints(&config.connect)?;
     let mut settings: Vec<(&str, String)> = SETTINGS
         .iter()
         .map(|(field, value)| (*field, (*value).to_owned()))
@@ -43,21 +46,30 @@ pub(super) fn open(config: &ZenohConfig) -> Result<zenoh::Session, LinkError> {
     settings.push(("connect/endpoints", json(&config.connect)));
     settings.push(("scouting/multicast/enabled", json(&config.scouting)));
     settings.push(("scouting/gossip/enabled", json(&config.scouting)));
-    open_with(&settings, &config.listen)
+    // To connect may fail for now; to listen may not.
+    let opened = zenoh::open(configure(&settings)?).wait();
+    opened.map_err(|error| LinkError::listen(&config.listen, &error))
 }
 
 /// A session of a client that only asks.
 pub(super) fn open_client(endpoints: &[String]) -> Result<zenoh::Session, LinkError> {
+    check_endpoints(endpoints)?;
     let settings = [
         ("mode", json("client")),
         ("connect/endpoints", json(endpoints)),
         ("connect/timeout_ms", "2000".to_owned()),
         ("scouting/multicast/enabled", json(&false)),
     ];
-    open_with(&settings, &[])
+    let opened = zenoh::open(configure(&settings)?).wait();
+    opened.map_err(|error| {
+        tracing::debug!(%error, "no session");
+        LinkError::Connect {
+            endpoints: endpoints.join(", "),
+        }
+    })
 }
 
-fn open_with(settings: &[(&str, String)], listen: &[String]) -> Result<zenoh::Session, LinkError> {
+fn configure(settings: &[(&str, String)]) -> Result<zenoh::Config, LinkError> {
     let mut config = zenoh::Config::default();
     for (field, value) in settings {
         config
@@ -65,13 +77,10 @@ fn open_with(settings: &[(&str, String)], listen: &[String]) -> Result<zenoh::Se
             .map_err(|error| LinkError::Setting {
                 field: (*field).to_owned(),
                 value: value.clone(),
-                reason: error.to_string(),
+                reason: plain(&error.to_string()),
             })?;
     }
-    zenoh::open(config).wait().map_err(|error| LinkError::Open {
-        listen: listen.to_vec(),
-        reason: error.to_string(),
-    })
+    Ok(config)
 }
 
 fn json<T: serde::Serialize + ?Sized>(value: &T) -> String {
@@ -108,7 +117,7 @@ pub(super) fn watch_neighbours(
         .callback(watch)
         .background()
         .wait()
-        .map_err(|error| declare_error("a listener for transports", &error))
+        .map_err(|error| LinkError::declare("a listener for transports", &error))
 }
 
 pub(super) fn subscribe(
@@ -141,7 +150,7 @@ pub(super) fn subscribe(
         .callback(receive)
         .background()
         .wait()
-        .map_err(|error| declare_error(key, &error))
+        .map_err(|error| LinkError::declare(key, &error))
 }
 
 pub(super) fn declare_alive(session: &zenoh::Session, id: &str) -> Result<(), LinkError> {
@@ -150,15 +159,8 @@ pub(super) fn declare_alive(session: &zenoh::Session, id: &str) -> Result<(), Li
         .liveliness()
         .declare_token(&key)
         .wait()
-        .map_err(|error| declare_error(&key, &error))?;
+        .map_err(|error| LinkError::declare(&key, &error))?;
     // The token lives as long as the session.
     std::mem::forget(token);
     Ok(())
-}
-
-pub(super) fn declare_error(what: &str, error: &zenoh::Error) -> LinkError {
-    LinkError::Declare {
-        what: what.to_owned(),
-        reason: error.to_string(),
-    }
 }

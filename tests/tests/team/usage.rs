@@ -44,7 +44,11 @@ fn commands_end_with_the_codes_of_the_contract() {
         "no-such-file.toml",
     );
     let nobody = ["map", "get", "anchor/*/map", "--connect", "tcp/127.0.0.1:9"];
-    check(&nobody, 1, "tcp/127.0.0.1:9");
+    check(
+        &nobody,
+        1,
+        "cannot connect to tcp/127.0.0.1:9; is a starling vehicle up there?\n",
+    );
 }
 
 #[test]
@@ -63,7 +67,8 @@ fn bad_input_is_named_with_its_place() {
         RECORDINGS.drone.display()
     );
     let zenoh = format!("{camera}[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\n");
-    run("port.toml", &zenoh, 1, "is the port in use?");
+    let expected = format!("cannot listen on tcp/127.0.0.1:{port}: port in use");
+    run("port.toml", &zenoh, 1, &expected);
     let empty = folder.path().join("no-fixes.tum");
     fs::write(&empty, "0.0 nan 1 2 0 0 0 1\n").unwrap();
     let position = format!("{camera}[position]\nfile = {empty:?}\n");
