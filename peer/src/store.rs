@@ -58,13 +58,15 @@ impl Store {
         Ok((store, reloaded))
     }
 
-    /// Keeps what came in; on disk too, if the store has a folder, before this returns.
+    /// Keeps what came in; on disk too, if the store has a folder, before this returns. After an
+    /// error it is kept in memory only.
     pub fn keep(&self, kept: Kept) -> Result<(), StoreError> {
-        if let Some(segments) = &mut self.lock().segments {
-            segments.append(&kept)?;
-        }
+        let written = match &mut self.lock().segments {
+            Some(segments) => segments.append(&kept),
+            None => Ok(()),
+        };
         self.hold(kept);
-        Ok(())
+        written
     }
 
     /// Ends the open file of a store that has a folder.

@@ -51,6 +51,8 @@ struct Segment {
     channels: BTreeMap<&'static str, u16>,
     sequence: u32,
     size_bytes: u64,
+    /// Up to here the file is written, synced and whole.
+    whole_bytes: u64,
 }
 
 impl Segments {
@@ -78,7 +80,8 @@ impl Segments {
         Ok((segments, reloaded))
     }
 
-    /// Writes and syncs one message; beacons are not kept.
+    /// Writes and syncs one message; beacons are not kept. After an error everything before it
+    /// can still be read, and the next message begins a new segment.
     pub fn append(&mut self, kept: &Kept) -> Result<(), StoreError> {
         let (topic, payload) = match kept {
             Kept::Chunk(_, payload) => ("chunk", payload.to_vec()),
@@ -94,16 +97,28 @@ impl Segments {
             full.close()?;
         }
         if self.open.is_none() {
+            // It may have been removed; then what follows is kept at least.
+            std::fs::create_dir_all(&self.folder).map_err(|error| StoreError::File {
+                error,
+                path: self.folder.clone(),
+            })?;
             self.open = Some(Segment::create(segment_path(
                 &self.folder,
                 self.next_number,
             ))?);
             self.next_number += 1;
         }
-        match &mut self.open {
-            Some(open) => open.append(topic, &payload),
-            None => Ok(()),
+        let Some(open) = &mut self.open else {
+            return Ok(());
+        };
+        let appended = open.append(topic, &payload);
+        if appended.is_err()
+            && let Some(broken) = self.open.take()
+            && broken.abandon()
+        {
+            self.next_number -= 1;
         }
+        appended
     }
 
     /// Closes the open segment, so that tools find its index.
@@ -135,6 +150,7 @@ impl Segment {
                 channels: BTreeMap::new(),
                 sequence: 0,
                 size_bytes: 0,
+                whole_bytes: 0,
             }),
             Err(error) => Err(StoreError::Mcap { error, path }),
         }
@@ -146,10 +162,17 @@ impl Segment {
                 error,
                 path: self.path.clone(),
             })?;
-        self.file.sync_data().map_err(|error| StoreError::File {
-            error,
-            path: self.path.clone(),
-        })
+        let synced = self.file.sync_data().and_then(|()| self.file.metadata());
+        match synced {
+            Ok(metadata) => {
+                self.whole_bytes = metadata.len();
+                Ok(())
+            }
+            Err(error) => Err(StoreError::File {
+                error,
+                path: self.path.clone(),
+            }),
+        }
     }
 
     fn write(&mut self, topic: &'static str, payload: &[u8]) -> Result<(), McapError> {
@@ -176,13 +199,28 @@ impl Segment {
     }
 
     fn close(mut self) -> Result<(), StoreError> {
-        match self.writer.finish() {
-            Ok(_summary) => Ok(()),
-            Err(error) => Err(StoreError::Mcap {
+        if let Err(error) = self.writer.finish() {
+            let path = self.path.clone();
+            self.abandon();
+            return Err(StoreError::Mcap { error, path });
+        }
+        // A file that was removed takes what is written to it all the same.
+        match self.path.metadata() {
+            Ok(_) => Ok(()),
+            Err(error) => Err(StoreError::File {
                 error,
                 path: self.path,
             }),
         }
+    }
+
+    /// Cuts off what was written in part; whether nothing was left and the file is gone.
+    fn abandon(self) -> bool {
+        // The writer tries to end the file, which has to be over before the cut.
+        drop(self.writer);
+        // A tail that cannot be cut off is a tear like any other; the reader stops there.
+        let _ = self.file.set_len(self.whole_bytes);
+        self.whole_bytes == 0 && std::fs::remove_file(&self.path).is_ok()
     }
 }
 
@@ -234,4 +272,91 @@ fn segment_path(folder: &Path, number: u32) -> PathBuf {
 fn segment_number(path: &Path) -> Option<u32> {
     (path.extension()? == "mcap").then_some(())?;
     path.file_stem()?.to_str()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use geodesy::Datum;
+    use geometry::{Matrix7, Similarity, Timestamp};
+    use protocol::{MapId, Reference, VehicleId};
+    use tempfile::TempDir;
+
+    use super::*;
+
+    fn placement(revision: u32) -> Kept {
+        Kept::Placement(Box::new(Placement {
+            map: MapId {
+                anchor: VehicleId::new("ugv1").unwrap(),
+                epoch: "1-0000000a".parse().unwrap(),
+            },
+            revision,
+            captured_at: Timestamp::default(),
+            datum: Datum::site("lab").unwrap(),
+            enu_from_map: Similarity::identity(),
+            covariance: Matrix7::identity(),
+            fix_sigma_m: 0.02,
+            reference: Reference::Fixed,
+            provenance: Vec::new(),
+            signature: Vec::new(),
+        }))
+    }
+
+    fn revisions(folder: &Path) -> Vec<u32> {
+        let (_, reloaded) = Segments::open(folder).unwrap();
+        let revision = |one: &Reloaded| decode::<Placement>(&one.payload).unwrap().revision;
+        reloaded.iter().map(revision).collect()
+    }
+
+    /// A writer onto a file that takes nothing, as on a full disk.
+    fn full(path: &Path) -> Writer<BufWriter<File>> {
+        let options = WriteOptions::new().compression(None).use_chunks(false);
+        let file = File::open(path).unwrap();
+        options.create(BufWriter::new(file)).unwrap()
+    }
+
+    #[test]
+    fn a_full_disk_loses_nothing_that_is_stored_and_only_what_comes_meanwhile() {
+        let folder = TempDir::new().unwrap();
+        let (mut segments, _) = Segments::open(folder.path()).unwrap();
+        segments.append(&placement(1)).unwrap();
+        let open = segments.open.as_mut().unwrap();
+        open.writer = full(&open.path);
+        open.channels.clear();
+        // What a write that broke off has left behind.
+        std::io::Write::write_all(&mut open.file, b"half a message").unwrap();
+        assert!(segments.append(&placement(2)).is_err());
+        assert_eq!(revisions(folder.path()), [1]);
+        // There is room again.
+        segments.append(&placement(3)).unwrap();
+        segments.close().unwrap();
+        assert_eq!(revisions(folder.path()), [1, 3]);
+    }
+
+    #[test]
+    fn a_segment_without_anything_whole_is_removed() {
+        let folder = TempDir::new().unwrap();
+        let (mut segments, _) = Segments::open(folder.path()).unwrap();
+        for _ in 0..3 {
+            let path = segment_path(folder.path(), segments.next_number);
+            let mut segment = Segment::create(path.clone()).unwrap();
+            segment.writer = full(&path);
+            segments.open = Some(segment);
+            segments.next_number += 1;
+            assert!(segments.append(&placement(1)).is_err());
+        }
+        assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+        assert_eq!(segments.next_number, 0);
+    }
+
+    #[test]
+    fn a_folder_that_was_removed_is_no_success() {
+        let folder = TempDir::new().unwrap();
+        let (mut segments, _) = Segments::open(folder.path()).unwrap();
+        segments.append(&placement(1)).unwrap();
+        std::fs::remove_dir_all(folder.path()).unwrap();
+        assert!(segments.close().is_err());
+        segments.append(&placement(2)).unwrap();
+        segments.close().unwrap();
+        assert_eq!(revisions(folder.path()), [2]);
+    }
 }
