@@ -23,6 +23,8 @@ pub enum Exit {
     Refused,
     /// Exit code 3: something was lost on the way, and the diagnostics name it.
     DoneWithLoss,
+    /// Exit code 130, as shells have it for Ctrl-C: ended in order before the work was done.
+    Interrupted,
 }
 
 /// Arguments that parse one by one but make no sense together; exit code 2.
@@ -72,6 +74,7 @@ pub fn main() -> ExitCode {
         Ok(Exit::Done) => ExitCode::SUCCESS,
         Ok(Exit::Refused) => ExitCode::from(1),
         Ok(Exit::DoneWithLoss) => ExitCode::from(3),
+        Ok(Exit::Interrupted) => ExitCode::from(130),
         Err(error) => {
             output::diagnose(&format!("error: {error:#}"));
             ExitCode::from(if error.is::<UsageError>() { 2 } else { 1 })

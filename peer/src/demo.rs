@@ -7,15 +7,16 @@ mod simulator;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use sim::{Cut, ScenarioName, VehicleDescription};
 
 use crate::config::{CameraConfig, EstimationConfig, PositionConfig, VehicleConfig};
 use crate::process::VehicleSummary;
 use crate::process::control::Report;
-use crate::team::{Crew, Links, Outage, Supervised, VehicleReport, loopback};
+use crate::process::interrupt;
+use crate::team::{Crew, Ending, Links, Outage, Supervised, VehicleReport, Waited, loopback};
 pub use calibration::sensor_yaml;
-use simulator::{Simulator, SimulatorEvent};
+use simulator::{Simulator, SimulatorEvent, SimulatorReport, VehicleTruth};
 
 /// What is flown.
 #[derive(Clone, Debug)]
@@ -28,11 +29,15 @@ pub struct DemoPlan {
 /// How it went.
 #[derive(Debug)]
 pub struct DemoReport {
+    pub ending: Ending,
     /// Simulated time over wall time.
     pub realtime_factor: Option<f64>,
+    /// Those that ended in order.
     pub vehicles: Vec<VehicleReport>,
+    /// What those lost on the way, for a person.
+    pub losses: Vec<String>,
     /// Before and after registration, in the manner of the paper's Fig. 10.
-    pub plot: PathBuf,
+    pub plot: Option<PathBuf>,
 }
 
 /// What happens on the way, for whoever looks on.
@@ -52,6 +57,11 @@ pub enum Progress<'a> {
     LinkHealed {
         vehicle: &'a str,
     },
+    /// A vehicle said this to people; told after the flight.
+    Said {
+        vehicle: &'a str,
+        line: &'a str,
+    },
 }
 
 /// So long may the simulator or a vehicle take to start, to take a frame, or to end.
@@ -61,16 +71,43 @@ const PATIENCE: Duration = Duration::from_secs(60);
 pub fn fly(plan: &DemoPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Result<DemoReport> {
     let out = std::path::absolute(&plan.out)?;
     std::fs::create_dir_all(&out).with_context(|| format!("cannot create {}", out.display()))?;
-    let truth = TruthFolder::create()?;
-    let simulator = Simulator::start(plan.scenario.name(), plan.seed, &truth.path)?;
-    let mut flight = Flight::start(plan, &out, simulator, observe)?;
-    flight.fly(observe)?;
-    let summaries = flight.finish()?;
-    let realtime_factor = flight.realtime_factor;
+    remove_judgements(plan, &out);
+    interrupt::listen();
+    let simulator = Simulator::start(plan.scenario.name(), plan.seed)?;
+    let mut flight = Flight::new(plan, simulator);
+    let flown = flight
+        .start(plan, &out, observe)
+        .and_then(|()| flight.fly(observe));
+    let failures = flight.finish();
+    for (vehicle, line) in flight.crew.last_words() {
+        observe(Progress::Said {
+            vehicle: &vehicle,
+            line: &line,
+        });
+    }
+    let summaries: Vec<VehicleSummary> = flight.crew.summaries().into_iter().flatten().collect();
+    let report = flight.report.take();
     // All vehicles have ended: now the truth may be looked at.
     drop(flight);
-    truth.move_to(&out)?;
-    judge(plan, &out, &summaries, realtime_factor)
+    let ending = Ending::new(flown, failures);
+    judge(plan, &out, &summaries, report, ending)
+}
+
+/// What an earlier flight into the same folder left: its truth is nothing for a vehicle, and its
+/// picture would be taken for this flight's.
+fn remove_judgements(plan: &DemoPlan, out: &Path) {
+    let vehicles = plan.scenario.vehicles();
+    let truths = vehicles.iter().map(|vehicle| truth_path(out, vehicle.id));
+    for path in truths.chain([out.join(PLOT)]) {
+        // Most often there is none.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+const PLOT: &str = "realignment.svg";
+
+fn truth_path(out: &Path, id: &str) -> PathBuf {
+    out.join(format!("{id}.truth.tum"))
 }
 
 /// When links fail: one breaks, another falls silent. The seed moves both.
@@ -97,62 +134,71 @@ struct Flight {
     ids: Vec<String>,
     outages: Vec<Outage>,
     frame_count: usize,
-    summaries: Vec<Option<VehicleSummary>>,
-    realtime_factor: Option<f64>,
+    /// Once the route is over.
+    report: Option<SimulatorReport>,
 }
 
 impl Flight {
+    fn new(plan: &DemoPlan, simulator: Simulator) -> Self {
+        let vehicles = plan.scenario.vehicles();
+        Self {
+            crew: Crew::new(),
+            simulator,
+            links: Links::new(true),
+            ids: vehicles
+                .iter()
+                .map(|vehicle| vehicle.id.to_owned())
+                .collect(),
+            outages: outages(plan.seed),
+            frame_count: 0,
+            report: None,
+        }
+    }
+
     fn start(
+        &mut self,
         plan: &DemoPlan,
         out: &Path,
-        mut simulator: Simulator,
         observe: &mut dyn FnMut(Progress<'_>),
-    ) -> anyhow::Result<Self> {
-        let (addresses, frame_count) = simulator.wait_until_listening(PATIENCE)?;
-        let mut crew = Crew::new();
-        let mut links = Links::new(true);
-        let vehicles = plan.scenario.vehicles();
-        for (vehicle_idx, vehicle) in vehicles.iter().enumerate() {
+    ) -> anyhow::Result<()> {
+        let (addresses, frame_count) = self.simulator.wait_until_listening(PATIENCE)?;
+        self.frame_count = frame_count;
+        for (vehicle_idx, vehicle) in plan.scenario.vehicles().iter().enumerate() {
             let address = addresses.iter().find(|one| one.id == vehicle.id);
             let address = address.with_context(|| format!("no stream for {}", vehicle.id))?;
-            let connect = links.endpoints_for(vehicle_idx)?;
+            let connect = self.links.endpoints_for(vehicle_idx)?;
             let config = vehicle_config(plan, vehicle, &address.address, connect, out)?;
-            crew.spawn(&config, Supervised::Watch, out)?;
-            let endpoints = crew.wait_until_listening(vehicle_idx, PATIENCE)?;
+            self.crew.spawn(&config, Supervised::Watch, out)?;
+            let endpoints = self.crew.wait_until_listening(vehicle_idx, PATIENCE)?;
             if vehicle_idx == 0 {
                 observe(Progress::Listening {
                     endpoints: &endpoints,
                 });
             }
-            links.add_vehicle(&endpoints)?;
+            self.links.add_vehicle(&endpoints)?;
         }
-        Ok(Self {
-            crew,
-            simulator,
-            links,
-            outages: outages(plan.seed),
-            frame_count,
-            summaries: vec![None; vehicles.len()],
-            ids: vehicles
-                .iter()
-                .map(|vehicle| vehicle.id.to_owned())
-                .collect(),
-            realtime_factor: None,
-        })
+        Ok(())
     }
 
     fn fly(&mut self, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Result<()> {
-        let mut heard_at = Instant::now();
+        let mut waited = Waited::from(Instant::now());
+        let mut newest = (0, 0.0);
         loop {
-            self.take_reports(Instant::now())?;
-            let event = self.simulator.next_event(Duration::from_millis(50))?;
-            match event {
-                None if heard_at.elapsed() > PATIENCE => bail!("the simulator has fallen silent"),
+            let context = || format!("in frame {}, {:.1} s into the flight", newest.0, newest.1);
+            self.take_reports().with_context(context)?;
+            let event = self.simulator.next_event(Duration::from_millis(50));
+            match event.with_context(context)? {
+                None if waited.until(Instant::now()) > PATIENCE => {
+                    self.simulator.give_up();
+                    let silence = anyhow!("the simulator has fallen silent; is it stopped?");
+                    return Err(silence).with_context(context);
+                }
                 None => continue,
                 Some(SimulatorEvent::FrameDone {
                     frame_idx,
                     simulated_s,
                 }) => {
+                    newest = (frame_idx, simulated_s);
                     observe(Progress::Flying {
                         frame_idx,
                         frame_count: self.frame_count,
@@ -160,15 +206,18 @@ impl Flight {
                     self.cut_and_heal(simulated_s, observe);
                 }
                 Some(SimulatorEvent::VehicleLost { id, reason }) => {
-                    bail!("the simulator has lost {id}: {reason}");
+                    // A vehicle that died says more about it than the simulator can.
+                    self.await_reports(Duration::from_millis(500))
+                        .with_context(context)?;
+                    return Err(self.crew.fail(&id, &reason)).with_context(context);
                 }
                 Some(SimulatorEvent::Finished { report }) => {
-                    self.realtime_factor = report.realtime_factor;
+                    self.report = Some(report);
                     return Ok(());
                 }
                 Some(SimulatorEvent::Listening { .. } | SimulatorEvent::Started) => {}
             }
-            heard_at = Instant::now();
+            waited = Waited::from(Instant::now());
         }
     }
 
@@ -199,21 +248,46 @@ impl Flight {
         }
     }
 
-    fn take_reports(&mut self, until: Instant) -> anyhow::Result<()> {
+    fn take_reports(&mut self) -> anyhow::Result<()> {
+        self.await_reports(Duration::ZERO)
+    }
+
+    /// Vehicles say nothing while they fly; that one fails is heard here.
+    fn await_reports(&mut self, patience: Duration) -> anyhow::Result<()> {
+        let until = Instant::now() + patience;
         while let Some(event) = self.crew.next_event(until)? {
-            if let Report::Finished { summary } = event.report {
-                self.summaries[event.vehicle_idx] = Some(*summary);
+            if matches!(event.report, Report::Finished { .. }) && self.report.is_none() {
+                let id = &self.ids[event.vehicle_idx];
+                // At the end of the route a vehicle may be faster than the simulator's report.
+                tracing::debug!(id, "ended before the simulator");
             }
         }
         Ok(())
     }
 
-    fn finish(&mut self) -> anyhow::Result<Vec<VehicleSummary>> {
-        for vehicle_idx in 0..self.ids.len() {
-            let summary = self.crew.wait_for_end(vehicle_idx, PATIENCE)?;
-            self.summaries[vehicle_idx] = Some(summary);
+    /// Ends the route where it is, which ends the vehicles; those that do not see it are told.
+    fn finish(&mut self) -> Vec<anyhow::Error> {
+        self.simulator.end_early();
+        let started = 0..self.crew.started_count();
+        let mut failures = Vec::new();
+        if self.report.is_none() && !self.simulator.is_lost() && !started.is_empty() {
+            failures.extend(self.await_report().err());
         }
-        Ok(self.summaries.iter().flatten().cloned().collect())
+        failures.extend(self.crew.finish(started, PATIENCE));
+        failures
+    }
+
+    /// The truth comes with it.
+    fn await_report(&mut self) -> anyhow::Result<()> {
+        let mut waited = Waited::from(Instant::now());
+        while waited.until(Instant::now()) < PATIENCE {
+            let event = self.simulator.next_event(Duration::from_millis(100))?;
+            if let Some(SimulatorEvent::Finished { report }) = event {
+                self.report = Some(report);
+                return Ok(());
+            }
+        }
+        bail!("the simulator does not end; is it stopped?")
     }
 }
 
@@ -253,55 +327,61 @@ fn judge(
     plan: &DemoPlan,
     out: &Path,
     summaries: &[VehicleSummary],
-    realtime_factor: Option<f64>,
+    report: Option<SimulatorReport>,
+    ending: Ending,
 ) -> anyhow::Result<DemoReport> {
-    let vehicles = summaries.iter().map(|summary| {
-        let score = score::score(out, summary, plan.seed)?;
-        Ok(VehicleReport::new(summary, Some(&score)))
-    });
-    let vehicles: Vec<VehicleReport> = vehicles.collect::<anyhow::Result<_>>()?;
-    let plot = out.join("realignment.svg");
-    let named = |role: &str| summaries.iter().find(|summary| summary.role == role);
-    if let (Some(anchor), Some(peer)) = (named("anchor"), named("peer")) {
-        score::realignment(out, &anchor.id, &peer.id)?
-            .plot(format!("{} before and after registration", peer.id))
-            .write(&plot)?;
+    let mut losses: Vec<String> = summaries
+        .iter()
+        .filter_map(|summary| Some(format!("{}: {}", summary.id, summary.loss()?)))
+        .collect();
+    let mut vehicles = Vec::new();
+    let mut plot = None;
+    // Without the simulator's report nobody knows the truth.
+    if let Some(report) = &report {
+        write_truth(out, &report.vehicles)?;
+        plot = draw(out, summaries, &mut losses);
+    }
+    for summary in summaries {
+        let score = report
+            .as_ref()
+            .map(|_| score::score(out, summary, plan.seed))
+            .transpose();
+        if let Err(error) = &score {
+            losses.push(format!("{}: cannot be judged: {error:#}", summary.id));
+        }
+        vehicles.push(VehicleReport::new(summary, score.ok().flatten().as_ref()));
     }
     Ok(DemoReport {
-        realtime_factor,
+        ending,
+        realtime_factor: report.and_then(|report| report.realtime_factor),
         vehicles,
         plot,
+        losses,
     })
 }
 
-/// A folder that no vehicle is told of. It is removed in the end, whatever happens.
-struct TruthFolder {
-    path: PathBuf,
+fn write_truth(out: &Path, truths: &[VehicleTruth]) -> anyhow::Result<()> {
+    for truth in truths {
+        let path = truth_path(out, &truth.id);
+        std::fs::write(&path, &truth.truth_tum)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
 }
 
-impl TruthFolder {
-    fn create() -> anyhow::Result<Self> {
-        let name = format!("starling-truth-{}", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        std::fs::create_dir_all(&path)
-            .with_context(|| format!("cannot create {}", path.display()))?;
-        Ok(Self { path })
-    }
-
-    fn move_to(&self, out: &Path) -> anyhow::Result<()> {
-        for entry in std::fs::read_dir(&self.path)? {
-            let from = entry?.path();
-            if let Some(name) = from.file_name() {
-                std::fs::copy(&from, out.join(name))?;
-            }
+fn draw(out: &Path, summaries: &[VehicleSummary], losses: &mut Vec<String>) -> Option<PathBuf> {
+    let named = |role: &str| summaries.iter().find(|summary| summary.role == role);
+    let (anchor, peer) = (named("anchor")?, named("peer")?);
+    let plot = out.join(PLOT);
+    let drawn = score::realignment(out, &anchor.id, &peer.id).and_then(|realignment| {
+        let title = format!("{} before and after registration", peer.id);
+        Ok(realignment.plot(title).write(&plot)?)
+    });
+    match drawn {
+        Ok(()) => Some(plot),
+        Err(error) => {
+            losses.push(format!("no picture: {error:#}"));
+            None
         }
-        Ok(())
-    }
-}
-
-impl Drop for TruthFolder {
-    fn drop(&mut self) {
-        // What cannot be removed is a few kilobytes in the system's folder for such things.
-        let _ = std::fs::remove_dir_all(&self.path);
     }
 }

@@ -2,7 +2,8 @@
 
 pub mod control;
 mod input;
-mod interrupt;
+pub mod interrupt;
+mod loss;
 mod outputs;
 mod paced;
 mod summary;
@@ -58,11 +59,18 @@ pub fn fly(
     supervision: Supervision,
     report: &mut dyn FnMut(&Report),
 ) -> anyhow::Result<VehicleSummary> {
+    // At once: a parent's Ctrl-C comes when it comes.
+    if supervision != Supervision::None {
+        interrupt::leave_to_parent();
+    }
     std::fs::create_dir_all(&config.out)
         .with_context(|| format!("cannot create {}", config.out.display()))?;
     let mut source = input::open(config)?;
     let held = open_store(config)?;
     let node = open_node(config, source.calibration(), &held.1)?;
+    if supervision == Supervision::None {
+        interrupt::listen();
+    }
     let (sender, arrivals) = sync_channel(QUEUE_LIMIT);
     let link_inbox: Inbox = inbox(sender.clone(), Arrival::Link);
     let mut vehicle = Vehicle::open(config, node, held, link_inbox)?;
@@ -70,19 +78,17 @@ pub fn fly(
         endpoints: vehicle.endpoints(),
         first_captured_at_ns: source.first_captured_at().map(Timestamp::nanoseconds),
     });
-    if supervision == Supervision::None {
-        interrupt::listen();
-    } else {
+    if supervision != Supervision::None {
         let sender = sender.clone();
         std::thread::spawn(move || control::read_orders(&sender));
     }
     if supervision == Supervision::Paced {
-        paced::run(&mut vehicle, source.as_mut(), &arrivals, report)?;
+        paced::run(&mut vehicle, source.as_mut(), &arrivals, report);
     } else {
         let acknowledgements = input::start(source, sender);
-        run_free(&mut vehicle, &arrivals, &acknowledgements)?;
+        run_free(&mut vehicle, &arrivals, &acknowledgements);
     }
-    let summary = vehicle.finish()?;
+    let summary = vehicle.finish();
     report(&Report::Finished {
         summary: Box::new(summary.clone()),
     });
@@ -96,20 +102,20 @@ fn run_free(
     vehicle: &mut Vehicle,
     arrivals: &Receiver<Arrival>,
     acknowledgements: &std::sync::mpsc::Sender<Timestamp>,
-) -> anyhow::Result<()> {
+) {
     let mut newest = (Timestamp::default(), Instant::now());
     loop {
         let arrival = arrivals.recv_timeout(TICK).ok();
         if interrupt::wished() {
-            return Ok(());
+            return;
         }
         // The vehicle's clock is the camera's, carried on by the wall between frames.
         let now = newest.0.after(newest.1.elapsed());
         match arrival {
-            None => vehicle.take(Event::Tick, now)?,
-            Some(Arrival::Link(event)) => vehicle.take_link(event, now)?,
-            Some(Arrival::Input(Input::End)) | Some(Arrival::OrdersEnded) => return Ok(()),
-            Some(Arrival::Order(Order::Finish)) => return Ok(()),
+            None => vehicle.take(Event::Tick, now),
+            Some(Arrival::Link(event)) => vehicle.take_link(event, now),
+            Some(Arrival::Input(Input::End)) | Some(Arrival::OrdersEnded) => return,
+            Some(Arrival::Order(Order::Finish)) => return,
             Some(Arrival::Order(_)) => {}
             Some(Arrival::Input(input)) => {
                 let captured_at = input.captured_at();
@@ -117,7 +123,7 @@ fn run_free(
                 if is_frame {
                     newest = (captured_at, Instant::now());
                 }
-                vehicle.take_input(input, captured_at)?;
+                vehicle.take_input(input, captured_at);
                 // A driver that has gone needs no acknowledgement.
                 if is_frame {
                     let _ = acknowledgements.send(captured_at);

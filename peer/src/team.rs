@@ -3,14 +3,16 @@
 mod barrier;
 mod child;
 mod clock;
+mod failure;
 mod links;
 mod outage;
 mod report;
+mod waited;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 
 use crate::config::{
     CameraConfig, EstimationConfig, PositionConfig, VehicleConfig, ZenohConfig, ZenohMode,
@@ -18,12 +20,15 @@ use crate::config::{
 use crate::dataset::{Dataset, DatasetArgument};
 use crate::process::VehicleSummary;
 use crate::process::control::{Order, Report};
+use crate::process::interrupt::{self, Interrupted};
 use barrier::Barrier;
 pub use child::{Crew, CrewEvent, Supervised};
 use clock::Tick;
+pub use failure::how_it_ended;
 pub use links::{LinkPair, Links, loopback_address};
 pub use outage::{MalformedOutage, Outage};
 pub use report::{VehicleReport, table};
+pub use waited::Waited;
 
 /// What is flown.
 #[derive(Clone, Debug)]
@@ -47,11 +52,54 @@ pub struct PlannedVehicle {
 /// How it went.
 #[derive(Debug)]
 pub struct TeamReport {
+    pub ending: Ending,
     /// Flown time over wall time.
     pub realtime_factor: f64,
+    /// Those that ended in order.
     pub vehicles: Vec<VehicleSummary>,
     /// Messages over links that were up did not arrive in time; runs may differ.
     pub stalled: bool,
+}
+
+/// Why a flight was over.
+#[derive(Debug)]
+pub enum Ending {
+    /// There was nothing more to fly.
+    Flown,
+    /// Somebody wished so.
+    Interrupted,
+    /// Each of these would have been enough.
+    Failed(Vec<anyhow::Error>),
+}
+
+impl Ending {
+    /// - `flown`: how the flight itself ended.
+    /// - `failures`: what went wrong while the vehicles ended.
+    pub fn new(flown: anyhow::Result<()>, mut failures: Vec<anyhow::Error>) -> Self {
+        match flown {
+            Ok(()) if failures.is_empty() => Self::Flown,
+            Err(error) if error.is::<Interrupted>() && failures.is_empty() => Self::Interrupted,
+            Ok(()) => Self::Failed(failures),
+            Err(error) => {
+                failures.insert(0, error);
+                Self::Failed(failures)
+            }
+        }
+    }
+
+    /// One line for each failure.
+    pub fn diagnostics(&self) -> Vec<String> {
+        match self {
+            Self::Flown => Vec::new(),
+            Self::Interrupted => {
+                vec!["interrupted; what was flown until then is in the files".to_owned()]
+            }
+            Self::Failed(failures) => {
+                let failures = failures.iter();
+                failures.map(|error| format!("error: {error:#}")).collect()
+            }
+        }
+    }
 }
 
 /// What happens on the way, for whoever looks on.
@@ -64,12 +112,20 @@ pub enum Progress<'a> {
         tick_idx: usize,
         tick_count: usize,
     },
+    /// A vehicle said this to people; told after the flight.
+    Said {
+        vehicle: &'a str,
+        line: &'a str,
+    },
 }
 
 /// Messages that should be there are waited for no longer than this.
 const STALL_LIMIT: Duration = Duration::from_secs(10);
 /// So long may a vehicle take to open its session, or to write its files.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// So long may a tick take a vehicle. The dearest frame, a search for a lost place on a machine
+/// with other work, takes a sixth of it.
+const TICK_PATIENCE: Duration = Duration::from_secs(30);
 
 /// Flies the plan, at most in real time.
 pub fn fly(plan: &TeamPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Result<TeamReport> {
@@ -77,35 +133,78 @@ pub fn fly(plan: &TeamPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Re
         .with_context(|| format!("cannot create {}", plan.out.display()))?;
     let recordings = open_recordings(plan)?;
     let ticks = clock::ticks(&recordings);
-    let mut team = Team::start(plan, observe)?;
-    let first_ns: Vec<i64> = recordings.iter().map(|stamps| stamps[0]).collect();
-    team.greet(&first_ns)?;
-    let began = Instant::now();
-    let mut previous: Option<(Instant, i64)> = None;
-    for (tick_idx, tick) in ticks.iter().enumerate() {
-        if let Some((at, elapsed_ns)) = previous {
-            let step_ns = u64::try_from(tick.elapsed_ns - elapsed_ns).unwrap_or(0);
-            let due = at + Duration::from_nanos(step_ns);
-            std::thread::sleep(due.saturating_duration_since(Instant::now()));
-        }
-        previous = Some((Instant::now(), tick.elapsed_ns));
-        team.cut_and_heal(&plan.outages, tick);
-        team.tick(tick_idx as u64, tick, &first_ns)?;
-        observe(Progress::Flying {
-            tick_idx,
-            tick_count: ticks.len(),
+    interrupt::listen();
+    let mut team = Team::new(plan);
+    let mut flight = Flight {
+        first_ns: recordings.iter().map(|stamps| stamps[0]).collect(),
+        flown_s: 0.0,
+        wall_s: 0.0,
+    };
+    let flown = team
+        .start(plan, observe)
+        .and_then(|()| team.greet(&flight.first_ns))
+        .and_then(|()| flight.fly(&mut team, plan, &ticks, observe));
+    let failures = team.finish(plan);
+    for (vehicle, line) in team.crew.last_words() {
+        observe(Progress::Said {
+            vehicle: &vehicle,
+            line: &line,
         });
     }
-    let wall_s = began.elapsed().as_secs_f64();
-    let flown_s = ticks
-        .last()
-        .map_or(0.0, |tick| tick.elapsed_ns as f64 * 1e-9);
-    let vehicles = team.finish(plan)?;
     Ok(TeamReport {
-        realtime_factor: if wall_s > 0.0 { flown_s / wall_s } else { 0.0 },
-        vehicles,
+        ending: Ending::new(flown, failures),
+        realtime_factor: flight.realtime_factor(),
+        vehicles: team.crew.summaries().into_iter().flatten().collect(),
         stalled: team.barrier.stalled(),
     })
+}
+
+/// How far it has come.
+struct Flight {
+    /// On each vehicle's own clock.
+    first_ns: Vec<i64>,
+    flown_s: f64,
+    wall_s: f64,
+}
+
+impl Flight {
+    fn fly(
+        &mut self,
+        team: &mut Team,
+        plan: &TeamPlan,
+        ticks: &[Tick],
+        observe: &mut dyn FnMut(Progress<'_>),
+    ) -> anyhow::Result<()> {
+        let began = Instant::now();
+        let mut previous: Option<(Instant, i64)> = None;
+        for (tick_idx, tick) in ticks.iter().enumerate() {
+            if let Some((at, elapsed_ns)) = previous {
+                let step_ns = u64::try_from(tick.elapsed_ns - elapsed_ns).unwrap_or(0);
+                let due = at + Duration::from_nanos(step_ns);
+                std::thread::sleep(due.saturating_duration_since(Instant::now()));
+            }
+            previous = Some((Instant::now(), tick.elapsed_ns));
+            team.cut_and_heal(&plan.outages, tick);
+            let elapsed_s = tick.elapsed_ns as f64 * 1e-9;
+            team.tick(tick_idx as u64, tick, &self.first_ns)
+                .with_context(|| format!("in tick {tick_idx}, {elapsed_s:.1} s into the flight"))?;
+            self.flown_s = elapsed_s;
+            self.wall_s = began.elapsed().as_secs_f64();
+            observe(Progress::Flying {
+                tick_idx,
+                tick_count: ticks.len(),
+            });
+        }
+        Ok(())
+    }
+
+    fn realtime_factor(&self) -> f64 {
+        if self.wall_s > 0.0 {
+            self.flown_s / self.wall_s
+        } else {
+            0.0
+        }
+    }
 }
 
 /// The time stamps of each vehicle's frames.
@@ -128,38 +227,42 @@ struct Team {
 }
 
 impl Team {
-    fn start(plan: &TeamPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Result<Self> {
-        let mut crew = Crew::new();
-        let mut links = Links::new(!plan.outages.is_empty());
+    fn new(plan: &TeamPlan) -> Self {
+        let ids = plan.vehicles.iter().map(|vehicle| vehicle.id.clone());
+        Self {
+            crew: Crew::new(),
+            links: Links::new(!plan.outages.is_empty()),
+            barrier: Barrier::new(ids.collect()),
+        }
+    }
+
+    fn start(
+        &mut self,
+        plan: &TeamPlan,
+        observe: &mut dyn FnMut(Progress<'_>),
+    ) -> anyhow::Result<()> {
         for (vehicle_idx, vehicle) in plan.vehicles.iter().enumerate() {
-            let connect = links.endpoints_for(vehicle_idx)?;
+            let connect = self.links.endpoints_for(vehicle_idx)?;
             let config = vehicle_config(plan, vehicle, connect)?;
-            crew.spawn(&config, Supervised::Pace, &plan.out)?;
-            let endpoints = crew.wait_until_listening(vehicle_idx, PATIENCE)?;
+            self.crew.spawn(&config, Supervised::Pace, &plan.out)?;
+            let endpoints = self.crew.wait_until_listening(vehicle_idx, PATIENCE)?;
             if vehicle_idx == 0 {
                 observe(Progress::Listening {
                     endpoints: &endpoints,
                 });
             }
-            links.add_vehicle(&endpoints)?;
+            self.links.add_vehicle(&endpoints)?;
         }
-        let ids = plan.vehicles.iter().map(|vehicle| vehicle.id.clone());
-        Ok(Self {
-            crew,
-            links,
-            barrier: Barrier::new(ids.collect()),
-        })
+        Ok(())
     }
 
     /// Beacons until everybody has heard everybody: from then on, what is published arrives.
     fn greet(&mut self, first_ns: &[i64]) -> anyhow::Result<()> {
-        let deadline = Instant::now() + PATIENCE;
+        let mut waited = Waited::from(Instant::now());
         while !self.barrier.everybody_heard_everybody() {
-            if Instant::now() > deadline {
-                bail!(
-                    "the vehicles do not hear each other: {}",
-                    self.barrier.silent_pairs()
-                );
+            if waited.until(Instant::now()) > PATIENCE {
+                let pairs = self.barrier.silent_pairs();
+                bail!("the vehicles do not hear each other: {pairs}");
             }
             for (vehicle_idx, now_ns) in first_ns.iter().enumerate() {
                 let order = Order::Greet { now_ns: *now_ns };
@@ -200,12 +303,15 @@ impl Team {
             self.crew.order(vehicle_idx, &order)?;
         }
         self.barrier.begin(tick_number);
+        let mut waited = Waited::from(Instant::now());
         let mut done_at: Option<Instant> = None;
         while !self.barrier.is_passed() {
-            if self.barrier.all_done() {
-                done_at.get_or_insert_with(Instant::now);
-            }
-            if done_at.is_some_and(|at| at.elapsed() > STALL_LIMIT) {
+            if let Some(vehicle_idx) = self.barrier.first_not_done() {
+                if waited.until(Instant::now()) > TICK_PATIENCE {
+                    let failure = self.crew.fail_by_silence(vehicle_idx, TICK_PATIENCE);
+                    return Err(failure.into());
+                }
+            } else if done_at.get_or_insert_with(Instant::now).elapsed() > STALL_LIMIT {
                 self.barrier.give_up();
                 break;
             }
@@ -230,24 +336,20 @@ impl Team {
                 .take_heard(event.vehicle_idx, &heard, open_request_count),
             Report::Listening { .. } => {}
             Report::Finished { .. } => {
-                bail!("vehicle {} ended early", self.barrier.id(event.vehicle_idx));
+                let id = self.barrier.id(event.vehicle_idx);
+                return Err(anyhow!("vehicle {id} ended early; somebody told it to"));
             }
         }
         Ok(())
     }
 
     /// Ends the peers first: anchors stay until they are done.
-    fn finish(&mut self, plan: &TeamPlan) -> anyhow::Result<Vec<VehicleSummary>> {
-        let mut summaries: Vec<Option<VehicleSummary>> = vec![None; plan.vehicles.len()];
-        let is_anchor = |idx: usize| plan.vehicles[idx].position.is_some();
-        for anchors in [false, true] {
-            let idxs = (0..plan.vehicles.len()).filter(|idx| is_anchor(*idx) == anchors);
-            for vehicle_idx in idxs {
-                self.crew.order(vehicle_idx, &Order::Finish)?;
-                summaries[vehicle_idx] = Some(self.crew.wait_for_end(vehicle_idx, PATIENCE)?);
-            }
-        }
-        Ok(summaries.into_iter().flatten().collect())
+    fn finish(&mut self, plan: &TeamPlan) -> Vec<anyhow::Error> {
+        let is_anchor = |idx: &usize| plan.vehicles[*idx].position.is_some();
+        let started = 0..self.crew.started_count();
+        let peers = started.clone().filter(|idx| !is_anchor(idx));
+        let anchors = started.filter(is_anchor);
+        self.crew.finish(peers.chain(anchors), PATIENCE)
     }
 }
 

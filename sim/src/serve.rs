@@ -5,7 +5,6 @@ mod pacer;
 mod truth;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -20,18 +19,17 @@ use crate::scenario::{Scenario, ScenarioName};
 use crate::stream::Fix;
 use link::Link;
 use pacer::Pacer;
-use truth::Truth;
 
 /// What to serve, and how.
 #[derive(Clone, Debug)]
 pub struct ServeSettings {
     pub scenario: ScenarioName,
     pub seed: u64,
-    /// A folder that gets `{id}.truth.tum`; nothing is written without it.
-    pub truth_folder: Option<PathBuf>,
     pub pace: Pace,
     /// Ends the route early, for tests.
     pub frame_count_max: Option<usize>,
+    /// Once somebody sets it, the route ends in order after the frame that is being flown.
+    pub end_wished: Option<&'static AtomicBool>,
     /// How long all vehicles together may take to connect and say hello.
     pub connect_timeout: Duration,
     /// How long a vehicle may take for one frame before it counts as dead.
@@ -43,12 +41,19 @@ impl Default for ServeSettings {
         Self {
             scenario: ScenarioName::Lab,
             seed: 1,
-            truth_folder: None,
             pace: Pace::RealTime,
             frame_count_max: None,
+            end_wished: None,
             connect_timeout: Duration::from_secs(60),
             acknowledge_timeout: Duration::from_secs(30),
         }
+    }
+}
+
+impl ServeSettings {
+    fn is_end_wished(&self) -> bool {
+        self.end_wished
+            .is_some_and(|wished| wished.load(Ordering::Relaxed))
     }
 }
 
@@ -108,6 +113,9 @@ pub struct VehicleReport {
     pub frames_acknowledged: usize,
     pub fixes_sent: usize,
     pub ending: Ending,
+    /// Where its camera truly was, a TUM line per frame that was sent. It is in no file while
+    /// anybody flies.
+    pub truth_tum: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -124,11 +132,6 @@ pub enum ServeError {
     Listen(std::io::Error),
     #[error("no vehicle connected and said hello within {waited_s:.0} s: {missing}")]
     NobodyCame { waited_s: f64, missing: String },
-    #[error("cannot write truth: {source}: {path}")]
-    Truth {
-        source: std::io::Error,
-        path: PathBuf,
-    },
 }
 
 /// Renders the scenario for every vehicle that connects, frame by frame, until the routes end.
@@ -154,7 +157,7 @@ fn serve_scenario(
     let frame_count = scenario.frame_count.min(limit);
     let mut vehicles = Vec::new();
     for vehicle_idx in 0..scenario.vehicles.len() {
-        vehicles.push(ServedVehicle::new(scenario, vehicle_idx, settings)?);
+        vehicles.push(ServedVehicle::new(scenario, vehicle_idx));
     }
     let wanted: Vec<AtomicBool> = vehicles.iter().map(|_| AtomicBool::new(true)).collect();
     thread::scope(|scope| {
@@ -176,7 +179,7 @@ fn serve_scenario(
         while let Ok(images) = frames.recv() {
             let start = *start.get_or_insert_with(Instant::now);
             pacer.wait();
-            if !service.step(frames_done, &images)? {
+            if settings.is_end_wished() || !service.step(frames_done, &images) {
                 break;
             }
             frames_done += 1;
@@ -187,7 +190,7 @@ fn serve_scenario(
         let report = service.finish(frames_done, wall_s);
         // The thread ends on its own once nobody takes its frames.
         let _ = renders.join();
-        report
+        Ok(report)
     })
 }
 
@@ -230,31 +233,26 @@ fn render_all(
 /// The simulator's side of one vehicle.
 struct ServedVehicle {
     report: VehicleReport,
-    truth: Truth,
     /// Not yet sent, in the order of their stamps.
     fixes: Vec<Fix>,
     link: Option<Link>,
 }
 
 impl ServedVehicle {
-    fn new(
-        scenario: &Scenario,
-        vehicle_idx: usize,
-        settings: &ServeSettings,
-    ) -> Result<Self, ServeError> {
+    fn new(scenario: &Scenario, vehicle_idx: usize) -> Self {
         let id = scenario.vehicles[vehicle_idx].description.id;
-        Ok(Self {
+        Self {
             report: VehicleReport {
                 id: id.into(),
                 frames_sent: 0,
                 frames_acknowledged: 0,
                 fixes_sent: 0,
                 ending: Ending::RouteFinished,
+                truth_tum: String::new(),
             },
-            truth: Truth::create(settings.truth_folder.as_deref(), id)?,
             fixes: scenario.fixes(vehicle_idx),
             link: None,
-        })
+        }
     }
 }
 
@@ -308,7 +306,7 @@ impl Service<'_> {
     }
 
     /// Sends one frame to everyone and waits for everyone; false once nobody is left.
-    fn step(&mut self, frame_idx: usize, images: &[Option<Image>]) -> Result<bool, ServeError> {
+    fn step(&mut self, frame_idx: usize, images: &[Option<Image>]) -> bool {
         let time_s = self.scenario.frame_time_s(frame_idx);
         let captured_at = self.scenario.timestamp(time_s);
         for (vehicle_idx, image) in images.iter().enumerate() {
@@ -327,7 +325,8 @@ impl Service<'_> {
                     vehicle.report.frames_sent += 1;
                     vehicle.report.fixes_sent += fixes.len();
                     let pose = self.scenario.site_from_camera(vehicle_idx, time_s);
-                    vehicle.truth.record(captured_at, &pose)?;
+                    let line = truth::tum_line(captured_at, &pose);
+                    vehicle.report.truth_tum += &line;
                 }
                 Err(reason) => self.lose(vehicle_idx, reason),
             }
@@ -342,7 +341,7 @@ impl Service<'_> {
                 Err(reason) => self.lose(vehicle_idx, reason),
             }
         }
-        Ok(self.vehicles.iter().any(|vehicle| vehicle.link.is_some()))
+        self.vehicles.iter().any(|vehicle| vehicle.link.is_some())
     }
 
     fn observe_frame(&mut self, frame_idx: usize, wall: Duration) {
@@ -364,23 +363,22 @@ impl Service<'_> {
         (self.observe)(&ServeEvent::VehicleLost { id, reason });
     }
 
-    fn finish(self, frames_done: usize, wall_s: f64) -> Result<ServeReport, ServeError> {
+    fn finish(self, frames_done: usize, wall_s: f64) -> ServeReport {
         let mut reports = Vec::new();
         for vehicle in self.vehicles {
             if let Some(link) = vehicle.link {
                 link.end();
             }
-            vehicle.truth.finish()?;
             reports.push(vehicle.report);
         }
         let simulated_s = self.scenario.frame_time_s(frames_done.saturating_sub(1));
-        Ok(ServeReport {
+        ServeReport {
             frame_count: frames_done,
             simulated_s,
             wall_s,
             realtime_factor: (wall_s > 0.0).then(|| simulated_s / wall_s),
             vehicles: reports,
-        })
+        }
     }
 }
 

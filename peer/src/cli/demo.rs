@@ -8,7 +8,7 @@ use sim::{Cut, ScenarioName};
 use super::run::client_line;
 use super::{Exit, output};
 use crate::demo::{DemoPlan, DemoReport, Progress, fly};
-use crate::team::{VehicleReport, table};
+use crate::team::{Ending, VehicleReport, table};
 
 #[derive(clap::Args)]
 pub struct DemoArguments {
@@ -31,7 +31,7 @@ pub struct DemoArguments {
 
 #[derive(Serialize)]
 struct DemoJson {
-    /// Every vehicle has flown to the end and is global.
+    /// Every vehicle has flown to the end and is global, and nothing was lost: the exit code is 0.
     ok: bool,
     realtime_factor: Option<f64>,
     vehicles: Vec<VehicleReport>,
@@ -55,16 +55,31 @@ pub fn run(arguments: &DemoArguments) -> anyhow::Result<Exit> {
         Progress::LinkHealed { vehicle } => {
             output::diagnose(&format!("{vehicle}: a link is healed"));
         }
+        Progress::Said { vehicle, line } => {
+            if let Some(bar) = bar.take() {
+                bar.finish();
+            }
+            output::diagnose(&format!("{vehicle}: {line}"));
+        }
     })?;
     if let Some(bar) = bar {
         bar.finish();
     }
-    let ok = report
-        .vehicles
-        .iter()
-        .all(|vehicle| vehicle.state == "Global");
-    print(report, ok, arguments)?;
-    Ok(if ok { Exit::Done } else { Exit::Refused })
+    let losses = report.losses.iter();
+    let losses = losses.map(|loss| format!("warning: {loss}"));
+    for line in report.ending.diagnostics().into_iter().chain(losses) {
+        output::diagnose(&line);
+    }
+    let is_global = |vehicle: &VehicleReport| vehicle.state == "Global";
+    let exit = match report.ending {
+        Ending::Interrupted => Exit::Interrupted,
+        Ending::Failed(_) => Exit::Refused,
+        Ending::Flown if !report.vehicles.iter().all(is_global) => Exit::Refused,
+        Ending::Flown if !report.losses.is_empty() => Exit::DoneWithLoss,
+        Ending::Flown => Exit::Done,
+    };
+    print(report, exit == Exit::Done, arguments)?;
+    Ok(exit)
 }
 
 fn print(report: DemoReport, ok: bool, arguments: &DemoArguments) -> anyhow::Result<()> {
@@ -81,7 +96,9 @@ fn print(report: DemoReport, ok: bool, arguments: &DemoArguments) -> anyhow::Res
     if let Some(realtime_factor) = report.realtime_factor {
         output::print_line(&format!("{realtime_factor:.2} times real time"));
     }
-    output::print_line(&format!("the picture: {}", report.plot.display()));
+    if let Some(plot) = report.plot {
+        output::print_line(&format!("the picture: {}", plot.display()));
+    }
     Ok(())
 }
 

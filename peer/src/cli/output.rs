@@ -1,6 +1,6 @@
 //! The one place that writes to stdout and stderr: results there, diagnostics here.
 
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
 
 use anyhow::Context;
 use serde::Serialize;
@@ -38,6 +38,7 @@ pub fn start_log() {
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .finish();
     // Fails only when a test has already installed one, which is then used.
     let _ = tracing::subscriber::set_global_default(subscriber);

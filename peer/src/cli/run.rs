@@ -51,12 +51,14 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<Exit> {
             summary.frame_count
         ));
     }
-    let lost = summary.unreadable_count + summary.dropped_count > 0;
-    Ok(if lost && !supervised {
-        Exit::DoneWithLoss
-    } else {
-        Exit::Done
-    })
+    match summary.loss() {
+        // The parent knows the summary, and decides.
+        Some(loss) if !supervised => {
+            output::diagnose(&format!("warning: {}: {loss}", summary.id));
+            Ok(Exit::DoneWithLoss)
+        }
+        _ => Ok(Exit::Done),
+    }
 }
 
 fn print_report(report: &Report) {

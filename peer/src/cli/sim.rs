@@ -1,12 +1,14 @@
 //! `starling sim`, hidden: the process that renders the world of `demo` and knows the truth.
 
 use std::io::Read;
-use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use serde::Serialize;
-use sim::{Pace, ScenarioName, ServeReport, ServeSettings, serve};
+use sim::{Pace, ScenarioName, ServeEvent, ServeReport, ServeSettings, serve};
 
 use super::{Exit, output};
+use crate::process::interrupt;
 
 #[derive(clap::Args)]
 pub struct SimArguments {
@@ -14,9 +16,6 @@ pub struct SimArguments {
     pub scenario: String,
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Where the truth is written; only the parent reads it, after all vehicles have ended.
-    #[arg(long)]
-    pub truth: PathBuf,
     /// End early.
     #[arg(long)]
     pub frame_count_max: Option<usize>,
@@ -25,33 +24,50 @@ pub struct SimArguments {
     pub unlimited: bool,
 }
 
-/// The last line; the ones before are the simulator's events.
+/// The last line, with the truth in it; the ones before are the simulator's events.
 #[derive(Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 enum Last {
     Finished { report: ServeReport },
 }
 
-/// One JSON object a line on stdout; ends when stdin does, so that it never outlives its parent.
+/// Longer than the simulator waits for a vehicle.
+const LAST_FRAME_PATIENCE: Duration = Duration::from_secs(35);
+
+/// Whether there is a route that could be ended in order.
+static STARTED: AtomicBool = AtomicBool::new(false);
+
+/// One JSON object a line on stdout. The end of stdin ends the route, so that it never outlives
+/// its parent.
 pub fn run(arguments: &SimArguments) -> anyhow::Result<Exit> {
+    interrupt::leave_to_parent();
     std::thread::spawn(|| {
         // An error ends it as well as the end of the file.
         let _ = std::io::stdin().lock().read_to_end(&mut Vec::new());
+        interrupt::wish();
+        if STARTED.load(Ordering::Relaxed) {
+            std::thread::sleep(LAST_FRAME_PATIENCE);
+        }
         std::process::exit(1);
     });
     let settings = ServeSettings {
         scenario: ScenarioName::Lab,
         seed: arguments.seed,
-        truth_folder: Some(arguments.truth.clone()),
         pace: if arguments.unlimited {
             Pace::Unlimited
         } else {
             Pace::RealTime
         },
         frame_count_max: arguments.frame_count_max,
+        end_wished: Some(interrupt::flag()),
         ..ServeSettings::default()
     };
-    let report = serve(&settings, &mut |event| print_json_line(event))?;
+    let report = serve(&settings, &mut |event| {
+        if matches!(event, ServeEvent::Started) {
+            STARTED.store(true, Ordering::Relaxed);
+        }
+        print_json_line(event);
+    })?;
     print_json_line(&Last::Finished { report });
     Ok(Exit::Done)
 }

@@ -10,9 +10,8 @@ use super::run::client_line;
 use super::{Exit, UsageError, output};
 use crate::config::PositionConfig;
 use crate::dataset::DatasetArgument;
-use crate::process::VehicleSummary;
 use crate::team::{
-    Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly, table,
+    Ending, Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly, table,
 };
 
 #[derive(clap::Args)]
@@ -47,6 +46,7 @@ pub struct TeamArguments {
 
 #[derive(Serialize)]
 struct TeamJson {
+    /// Everybody flew to the end and nothing was lost: the exit code is 0.
     ok: bool,
     realtime_factor: f64,
     vehicles: Vec<VehicleReport>,
@@ -60,27 +60,50 @@ pub fn run(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Exit
         Progress::Flying { tick_count, .. } => bar
             .get_or_insert_with(|| output::Progress::start("flying", tick_count as u64))
             .advance(1),
+        Progress::Said { vehicle, line } => {
+            if let Some(bar) = bar.take() {
+                bar.finish();
+            }
+            output::diagnose(&format!("{vehicle}: {line}"));
+        }
     })?;
     if let Some(bar) = bar {
         bar.finish();
     }
-    print(&report, arguments.json)?;
-    let lost = |summary: &VehicleSummary| summary.unreadable_count + summary.dropped_count > 0;
-    Ok(if report.stalled || report.vehicles.iter().any(lost) {
-        Exit::DoneWithLoss
-    } else {
-        Exit::Done
-    })
+    let losses = losses(&report);
+    for line in report.ending.diagnostics().iter().chain(&losses) {
+        output::diagnose(line);
+    }
+    let exit = match &report.ending {
+        Ending::Failed(_) => Exit::Refused,
+        Ending::Interrupted => Exit::Interrupted,
+        Ending::Flown if !losses.is_empty() => Exit::DoneWithLoss,
+        Ending::Flown => Exit::Done,
+    };
+    print(&report, exit == Exit::Done, arguments.json)?;
+    Ok(exit)
 }
 
-fn print(report: &TeamReport, json: bool) -> anyhow::Result<()> {
+/// What was lost on the way, a line each.
+fn losses(report: &TeamReport) -> Vec<String> {
+    let losses = report.vehicles.iter().filter_map(|summary| {
+        let loss = summary.loss()?;
+        Some(format!("warning: {}: {loss}", summary.id))
+    });
+    let stall = "warning: messages over links that were up did not arrive in time; runs may differ";
+    losses
+        .chain(report.stalled.then(|| stall.to_owned()))
+        .collect()
+}
+
+fn print(report: &TeamReport, ok: bool, json: bool) -> anyhow::Result<()> {
     let vehicles = report.vehicles.iter();
     let vehicles: Vec<VehicleReport> = vehicles
         .map(|summary| VehicleReport::new(summary, None))
         .collect();
     if json {
         return output::print_json(&TeamJson {
-            ok: true,
+            ok,
             realtime_factor: report.realtime_factor,
             vehicles,
         });

@@ -1,13 +1,15 @@
 //! The simulator as a child process: the only one that knows the truth.
 
 use std::io::{BufRead, BufReader};
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use serde::Deserialize;
+
+use crate::process::interrupt::{self, Interrupted};
+use crate::team::{Waited, how_it_ended};
 
 /// What the simulator says.
 #[derive(Clone, Debug, Deserialize)]
@@ -41,23 +43,29 @@ pub struct VehicleAddress {
 #[derive(Clone, Debug, Deserialize)]
 pub struct SimulatorReport {
     pub realtime_factor: Option<f64>,
+    pub vehicles: Vec<VehicleTruth>,
+}
+
+/// Where a vehicle's camera truly was, as the text of a TUM file.
+#[derive(Clone, Debug, Deserialize)]
+pub struct VehicleTruth {
+    pub id: String,
+    pub truth_tum: String,
 }
 
 /// The running simulator. It ends when this is dropped, or when the parent dies.
 pub struct Simulator {
     child: Child,
     events: Receiver<SimulatorEvent>,
+    is_lost: bool,
 }
 
 const QUEUE_LIMIT: usize = 4096;
 
 impl Simulator {
-    /// Starts it; the truth goes to `truth`.
-    pub fn start(scenario: &str, seed: u64, truth: &Path) -> anyhow::Result<Self> {
+    pub fn start(scenario: &str, seed: u64) -> anyhow::Result<Self> {
         let mut child = Command::new(std::env::current_exe()?)
             .args(["sim", "--scenario", scenario, "--seed", &seed.to_string()])
-            .arg("--truth")
-            .arg(truth)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -76,7 +84,26 @@ impl Simulator {
                 }
             }
         });
-        Ok(Self { child, events })
+        Ok(Self {
+            child,
+            events,
+            is_lost: false,
+        })
+    }
+
+    /// Asks it to end the route after the frame that is being flown.
+    pub fn end_early(&mut self) {
+        drop(self.child.stdin.take());
+    }
+
+    /// Nothing is waited for from it any more.
+    pub fn give_up(&mut self) {
+        self.is_lost = true;
+    }
+
+    /// Whether it has failed or was given up.
+    pub fn is_lost(&self) -> bool {
+        self.is_lost
     }
 
     /// The next event, waited for; `None` if none came in time.
@@ -85,8 +112,9 @@ impl Simulator {
             Ok(event) => Ok(Some(event)),
             Err(RecvTimeoutError::Timeout) => Ok(None),
             Err(RecvTimeoutError::Disconnected) => {
-                let status = self.child.wait()?;
-                bail!("the simulator failed ({status}); its message is above")
+                self.is_lost = true;
+                let how = how_it_ended(self.child.wait()?);
+                bail!("the simulator (process {}) {how}", self.child.id())
             }
         }
     }
@@ -96,19 +124,24 @@ impl Simulator {
         &mut self,
         patience: Duration,
     ) -> anyhow::Result<(Vec<VehicleAddress>, usize)> {
-        let deadline = Instant::now() + patience;
-        while let Some(event) =
-            self.next_event(deadline.saturating_duration_since(Instant::now()))?
-        {
-            if let SimulatorEvent::Listening {
+        let mut waited = Waited::from(Instant::now());
+        while waited.until(Instant::now()) < patience {
+            let event = self.next_event(Duration::from_millis(100))?;
+            if interrupt::wished() {
+                return Err(Interrupted.into());
+            }
+            if let Some(SimulatorEvent::Listening {
                 vehicles,
                 frame_count,
-            } = event
+            }) = event
             {
                 return Ok((vehicles, frame_count));
             }
         }
-        bail!("the simulator does not listen")
+        bail!(
+            "the simulator (process {}) does not listen",
+            self.child.id()
+        )
     }
 }
 

@@ -1,7 +1,10 @@
 //! The files that a vehicle leaves behind.
+//!
+//! A disk that is full or gone costs files, never the flight: what cannot be written is counted,
+//! named once, and the summary says that something is lost.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
+mod lines;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -9,20 +12,23 @@ use geometry::{Map, Timestamp};
 use vslam::MapId;
 
 use super::VehicleSummary;
+use super::loss::Loss;
 use crate::files::{
     COVARIANCE_HEADER, PointCloud, StampedPose, format_covariance_line, format_tum_line,
     write_cloud, write_tum,
 };
 use crate::node::{FramePose, GlobalFramePose, Node, Status};
-use crate::recorder::{Recorder, Stamp};
+use crate::recorder::{Recorder, RecorderError, Stamp};
+use lines::Lines;
 
 /// `{id}.tum` and `{id}.cov.csv` grow with each global frame; the rest is written at the end.
 pub struct Outputs {
     folder: PathBuf,
     id: String,
-    trajectory: BufWriter<File>,
-    covariances: BufWriter<File>,
-    recorder: Recorder,
+    trajectory: Lines,
+    covariances: Lines,
+    /// Until something could not be recorded.
+    recorder: Option<Recorder>,
     own: Vec<(MapId, StampedPose<Map>)>,
     newest: Timestamp,
     status: Option<Status>,
@@ -30,14 +36,17 @@ pub struct Outputs {
 
 impl Outputs {
     pub fn create(folder: &Path, id: &str) -> anyhow::Result<Self> {
-        let mut covariances = create(folder, &format!("{id}.cov.csv"))?;
-        writeln!(covariances, "{COVARIANCE_HEADER}")?;
+        let path = |suffix: &str| folder.join(format!("{id}.{suffix}"));
+        let mut covariances = Lines::create(&path("cov.csv"))?;
+        covariances
+            .append(COVARIANCE_HEADER)
+            .with_context(|| format!("cannot write {}", path("cov.csv").display()))?;
         Ok(Self {
             folder: folder.to_owned(),
             id: id.to_owned(),
-            trajectory: create(folder, &format!("{id}.tum"))?,
+            trajectory: Lines::create(&path("tum"))?,
             covariances,
-            recorder: Recorder::create(&folder.join(format!("{id}.mcap")))?,
+            recorder: Some(Recorder::create(&path("mcap"))?),
             own: Vec::new(),
             newest: Timestamp::default(),
             status: None,
@@ -45,15 +54,16 @@ impl Outputs {
     }
 
     /// Writes a frame's pose as it was published, and the state if it changed.
-    pub fn write(&mut self, pose: &FramePose, status: &Status) -> anyhow::Result<()> {
+    pub fn write(&mut self, pose: &FramePose, status: &Status, loss: &mut Loss) {
         self.newest = pose.captured_at;
         if self.status.as_ref() != Some(status) {
             self.status = Some(status.clone());
             let topic = format!("/{}/state", self.id);
             let text = (status.state.to_string(), status.reason.as_str());
-            self.recorder
-                .record_state(&topic, pose.captured_at, &text)?;
-            self.recorder.flush()?;
+            self.record(loss, |recorder| {
+                recorder.record_state(&topic, pose.captured_at, &text)?;
+                recorder.flush()
+            });
         }
         if let Some(map_from_camera) = pose.map_from_camera {
             let own = StampedPose {
@@ -62,57 +72,94 @@ impl Outputs {
             };
             self.own.push((pose.map_id, own));
         }
-        let Some(global) = &pose.global else {
-            return Ok(());
-        };
-        let GlobalFramePose {
-            enu_from_camera,
-            position_covariance: covariance,
-            enu_from_body,
-            body_covariance,
-        } = global;
+        if let Some(global) = &pose.global {
+            self.write_global(pose.captured_at, global, loss);
+        }
+    }
+
+    fn write_global(&mut self, captured_at: Timestamp, global: &GlobalFramePose, loss: &mut Loss) {
         let stamp = Stamp {
             frame_id: "map",
-            captured_at: pose.captured_at,
+            captured_at,
         };
         let topic = format!("/{}/pose", self.id);
-        self.recorder
-            .record_pose(&topic, stamp, enu_from_body, Some(body_covariance))?;
-        let line = format_tum_line(&StampedPose {
-            captured_at: pose.captured_at,
-            target_from_camera: *enu_from_camera,
+        let (pose, covariance) = (&global.enu_from_body, &global.body_covariance);
+        self.record(loss, |recorder| {
+            recorder.record_pose(&topic, stamp, pose, Some(covariance))
         });
-        writeln!(self.trajectory, "{line}")?;
-        let line = format_covariance_line(pose.captured_at, covariance);
-        writeln!(self.covariances, "{line}")?;
-        // Whoever looks on, or finds the files after a crash, sees whole lines.
-        self.trajectory.flush()?;
-        self.covariances.flush()?;
-        Ok(())
+        let line = format_tum_line(&StampedPose {
+            captured_at,
+            target_from_camera: global.enu_from_camera,
+        });
+        loss.note("the trajectory", self.trajectory.append(&line));
+        let line = format_covariance_line(captured_at, &global.position_covariance);
+        loss.note("the covariances", self.covariances.append(&line));
+    }
+
+    /// A recording that could not be written is whole up to there and ends there.
+    fn record(
+        &mut self,
+        loss: &mut Loss,
+        write: impl FnOnce(&mut Recorder) -> Result<(), RecorderError>,
+    ) {
+        match self.recorder.as_mut().map(write) {
+            Some(Ok(())) => {}
+            Some(Err(error)) => {
+                self.recorder = None;
+                loss.note("the recording", Err(error));
+            }
+            None => loss.count(),
+        }
     }
 
     /// Writes the trajectory after all corrections, the map, and the summary.
-    pub fn write_final(mut self, node: &Node, summary: &VehicleSummary) -> anyhow::Result<()> {
-        write_tum(&self.path("final.tum"), node.corrected_trajectory())?;
-        write_tum(&self.path("own.tum"), self.own_of_longest_map())?;
+    pub fn write_final(mut self, node: &Node, summary: &mut VehicleSummary, loss: &mut Loss) {
+        loss.note("the folder", self.check_folder());
+        let corrected = write_tum(&self.path("final.tum"), node.corrected_trajectory());
+        loss.note("the corrected trajectory", corrected);
+        let own = write_tum(&self.path("own.tum"), self.own_of_longest_map());
+        loss.note("the own trajectory", own);
         let cloud = PointCloud::from_points(node.points_in_enu());
         let stamp = Stamp {
             frame_id: "map",
             captured_at: self.newest,
         };
-        self.recorder
-            .record_cloud(&format!("/{}/map", self.id), stamp, &cloud)?;
-        write_cloud(&self.path("map.ply"), &cloud)?;
+        let topic = format!("/{}/map", self.id);
+        self.record(loss, |recorder| {
+            recorder.record_cloud(&topic, stamp, &cloud)
+        });
+        loss.note("the map", write_cloud(&self.path("map.ply"), &cloud));
         let landmarks = node.landmarks_in_enu();
         if !landmarks.is_empty() {
             let cloud = PointCloud::from_points(landmarks);
-            write_cloud(&self.path("received.ply"), &cloud)?;
+            let written = write_cloud(&self.path("received.ply"), &cloud);
+            loss.note("the received map", written);
         }
+        if let Some(recorder) = self.recorder.take() {
+            loss.note("the recording", recorder.finish());
+        }
+        summary.unwritten_count = loss.total();
+        loss.note("the summary", self.write_summary(summary));
+        summary.unwritten_count = loss.total();
+    }
+
+    /// What grew in a folder that has been removed is gone, though every write went well.
+    fn check_folder(&self) -> anyhow::Result<()> {
+        if self.path("tum").exists() {
+            return Ok(());
+        }
+        // So that at least what follows is kept.
+        std::fs::create_dir_all(&self.folder)?;
+        anyhow::bail!(
+            "it was removed in flight, with what had been written: {}",
+            self.folder.display()
+        )
+    }
+
+    fn write_summary(&self, summary: &VehicleSummary) -> anyhow::Result<()> {
         let path = self.path("json");
         let text = serde_json::to_string_pretty(summary)?;
-        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
-        self.recorder.finish()?;
-        Ok(())
+        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
     }
 
     /// The vehicle's poses as they were published in its own map; poses of different maps share
@@ -131,10 +178,4 @@ impl Outputs {
     fn path(&self, suffix: &str) -> PathBuf {
         self.folder.join(format!("{}.{suffix}", self.id))
     }
-}
-
-fn create(folder: &Path, name: &str) -> anyhow::Result<BufWriter<File>> {
-    let path = folder.join(name);
-    let file = File::create(&path).with_context(|| format!("cannot write {}", path.display()))?;
-    Ok(BufWriter::new(file))
 }

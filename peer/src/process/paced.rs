@@ -2,27 +2,37 @@
 //! arrived in, so that two runs agree.
 
 use std::collections::BTreeMap;
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
 
 use geometry::Timestamp;
 
 use super::Arrival;
 use super::control::{Counted, Order, Report};
 use super::input::{Input, Source};
+use super::interrupt;
 use super::vehicle::Vehicle;
 use crate::link::{Class, LinkEvent};
 use crate::node::Event;
 
-/// Runs until the parent says so or is gone.
+/// How often a wait looks whether somebody wishes for the end.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// Runs until the parent says so or is gone, or somebody ends this vehicle alone.
 pub(super) fn run(
     vehicle: &mut Vehicle,
     source: &mut dyn Source,
     arrivals: &Receiver<Arrival>,
     report: &mut dyn FnMut(&Report),
-) -> anyhow::Result<()> {
+) {
     let mut waiting = Waiting::default();
     let mut pending: Option<Input> = None;
-    while let Ok(arrival) = arrivals.recv() {
+    while !interrupt::wished() {
+        let arrival = match arrivals.recv_timeout(GLANCE) {
+            Ok(arrival) => arrival,
+            Err(RecvTimeoutError::Timeout) => continue,
+            Err(RecvTimeoutError::Disconnected) => return,
+        };
         match arrival {
             Arrival::Link(event) => {
                 waiting.push(event);
@@ -32,26 +42,25 @@ pub(super) fn run(
                         Arrival::Link(event) => waiting.push(event),
                         Arrival::Order(order) => {
                             report(&waiting.heard(vehicle));
-                            if !obey(vehicle, source, &mut waiting, &mut pending, &order, report)? {
-                                return Ok(());
+                            if !obey(vehicle, source, &mut waiting, &mut pending, &order, report) {
+                                return;
                             }
                         }
-                        Arrival::OrdersEnded => return Ok(()),
+                        Arrival::OrdersEnded => return,
                         Arrival::Input(_) => {}
                     }
                 }
                 report(&waiting.heard(vehicle));
             }
             Arrival::Order(order) => {
-                if !obey(vehicle, source, &mut waiting, &mut pending, &order, report)? {
-                    return Ok(());
+                if !obey(vehicle, source, &mut waiting, &mut pending, &order, report) {
+                    return;
                 }
             }
-            Arrival::OrdersEnded => return Ok(()),
+            Arrival::OrdersEnded => return,
             Arrival::Input(_) => {}
         }
     }
-    Ok(())
 }
 
 /// Carries out an order; false if it was the last.
@@ -62,9 +71,9 @@ fn obey(
     pending: &mut Option<Input>,
     order: &Order,
     report: &mut dyn FnMut(&Report),
-) -> anyhow::Result<bool> {
+) -> bool {
     match order {
-        Order::Greet { now_ns } => vehicle.greet(Timestamp::from_nanoseconds(*now_ns))?,
+        Order::Greet { now_ns } => vehicle.greet(Timestamp::from_nanoseconds(*now_ns)),
         Order::Tick {
             tick,
             now_ns,
@@ -72,19 +81,19 @@ fn obey(
         } => {
             let now = Timestamp::from_nanoseconds(*now_ns);
             for event in waiting.take_in_order(sent_before) {
-                vehicle.take_link(event, now)?;
+                vehicle.take_link(event, now);
             }
-            take_inputs(vehicle, source, pending, now)?;
-            vehicle.take(Event::Tick, now)?;
+            take_inputs(vehicle, source, pending, now);
+            vehicle.take(Event::Tick, now);
             report(&Report::TickDone {
                 tick: *tick,
                 sent: vehicle.sent(),
             });
             report(&waiting.heard(vehicle));
         }
-        Order::Finish => return Ok(false),
+        Order::Finish => return false,
     }
-    Ok(true)
+    true
 }
 
 fn take_inputs(
@@ -92,19 +101,18 @@ fn take_inputs(
     source: &mut dyn Source,
     pending: &mut Option<Input>,
     now: Timestamp,
-) -> anyhow::Result<()> {
+) {
     while let Some(input) = pending.take().or_else(|| source.next_input()) {
         if matches!(input, Input::End) {
-            return Ok(());
+            return;
         }
         if input.captured_at() > now {
             *pending = Some(input);
-            return Ok(());
+            return;
         }
         let captured_at = input.captured_at();
-        vehicle.take_input(input, captured_at)?;
+        vehicle.take_input(input, captured_at);
     }
-    Ok(())
 }
 
 /// What arrived since the last tick, and how far each sender's messages have come.

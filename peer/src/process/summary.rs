@@ -29,8 +29,28 @@ pub struct VehicleSummary {
     pub without_link_s: f64,
     /// Arrivals that found the inbox full.
     pub dropped_count: u64,
+    /// Lines, recorded messages and files that could not be written, and holdings that are not on
+    /// disk.
+    #[serde(default)]
+    pub unwritten_count: u64,
     /// Input to published pose, wall clock.
     pub ms_per_frame_p50: Option<f64>,
     pub ms_per_frame_p99: Option<f64>,
     pub counters: NodeCounters,
+}
+
+impl VehicleSummary {
+    /// What was lost on the way, for a person; `None` if everything counted and is written.
+    pub fn loss(&self) -> Option<String> {
+        let counts = [
+            (self.unreadable_count, "images skipped"),
+            (self.dropped_count, "messages dropped"),
+            (self.unwritten_count, "writes failed"),
+        ];
+        let counts = counts.iter().filter(|(count, _)| *count > 0);
+        let parts: Vec<String> = counts
+            .map(|(count, what)| format!("{count} {what}"))
+            .collect();
+        (!parts.is_empty()).then(|| parts.join(", "))
+    }
 }

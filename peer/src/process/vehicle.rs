@@ -9,6 +9,7 @@ use protocol::VehicleState;
 use super::VehicleSummary;
 use super::control::Counted;
 use super::input::Input;
+use super::loss::Loss;
 use super::outputs::Outputs;
 use crate::config::VehicleConfig;
 use crate::link::{Class, Inbox, Link, LinkEvent};
@@ -25,6 +26,7 @@ pub struct Vehicle {
     store: Store,
     outputs: Outputs,
     tally: Tally,
+    loss: Loss,
     now: Timestamp,
 }
 
@@ -60,6 +62,7 @@ impl Vehicle {
             store,
             outputs: Outputs::create(&config.out, &config.id)?,
             tally: Tally::default(),
+            loss: Loss::default(),
             now: Timestamp::default(),
         })
     }
@@ -78,21 +81,20 @@ impl Vehicle {
         [sent[Class::Bulk as usize], sent[Class::Notice as usize]]
     }
 
-    pub fn greet(&mut self, now: Timestamp) -> anyhow::Result<()> {
+    pub fn greet(&mut self, now: Timestamp) {
         let effects = self.node.greet(now);
-        self.execute(effects)
+        self.execute(effects);
     }
 
-    pub fn take_input(&mut self, input: Input, now: Timestamp) -> anyhow::Result<()> {
+    pub fn take_input(&mut self, input: Input, now: Timestamp) {
         match input {
             Input::Frame { captured_at, image } => {
                 self.tally.begin_frame(captured_at);
                 let began = Instant::now();
-                self.take(Event::Frame { captured_at, image }, now)?;
+                self.take(Event::Frame { captured_at, image }, now);
                 self.tally
                     .frame_ms
                     .push(began.elapsed().as_secs_f32() * 1e3);
-                Ok(())
             }
             Input::Unreadable {
                 captured_at,
@@ -103,14 +105,14 @@ impl Vehicle {
                 if self.tally.unreadable_count == 1 {
                     tracing::warn!(reason, "image skipped; further ones are only counted");
                 }
-                self.take(Event::Tick, now)
+                self.take(Event::Tick, now);
             }
             Input::Fix(fix) => self.take(Event::Fix(fix), now),
-            Input::End => Ok(()),
+            Input::End => {}
         }
     }
 
-    pub fn take_link(&mut self, event: LinkEvent, now: Timestamp) -> anyhow::Result<()> {
+    pub fn take_link(&mut self, event: LinkEvent, now: Timestamp) {
         let event = match event {
             LinkEvent::Sample(sample) => Event::Message {
                 key: sample.key,
@@ -137,20 +139,20 @@ impl Vehicle {
                 Event::NeighbourLeft
             }
         };
-        self.take(event, now)
+        self.take(event, now);
     }
 
-    pub fn take(&mut self, event: Event, now: Timestamp) -> anyhow::Result<()> {
+    pub fn take(&mut self, event: Event, now: Timestamp) {
         self.now = now;
         self.tally.follow_links(now);
         let effects = self.node.handle(event, now);
-        self.execute(effects)
+        self.execute(effects);
     }
 
-    fn execute(&mut self, effects: Vec<Effect>) -> anyhow::Result<()> {
+    fn execute(&mut self, effects: Vec<Effect>) {
         for effect in effects {
             match effect {
-                Effect::Keep(kept) => self.store.keep(kept)?,
+                Effect::Keep(kept) => self.loss.note("the store", self.store.keep(kept)),
                 Effect::Publish {
                     class,
                     key,
@@ -159,20 +161,21 @@ impl Vehicle {
                 Effect::Request { request, selector } => self.link.request(request, &selector),
                 Effect::Posed(pose) => {
                     self.tally.count_pose(&pose);
-                    self.outputs.write(&pose, self.node.status())?;
+                    self.outputs
+                        .write(&pose, self.node.status(), &mut self.loss);
                 }
             }
         }
-        Ok(())
     }
 
     /// Leaves the network and writes what is only known at the end.
-    pub fn finish(mut self) -> anyhow::Result<VehicleSummary> {
-        let summary = self.summary();
-        self.outputs.write_final(&self.node, &summary)?;
-        self.store.close()?;
+    pub fn finish(mut self) -> VehicleSummary {
+        let mut summary = self.summary();
+        self.loss.note("the store", self.store.close());
+        self.outputs
+            .write_final(&self.node, &mut summary, &mut self.loss);
         self.link.close(CLOSE_PATIENCE);
-        Ok(summary)
+        summary
     }
 
     fn summary(&mut self) -> VehicleSummary {
@@ -200,6 +203,7 @@ impl Vehicle {
             bytes_received: counters.received_bytes(),
             without_link_s: tally.without_link_s,
             dropped_count: counters.dropped(),
+            unwritten_count: 0,
             ms_per_frame_p50: quantile(&tally.frame_ms, 0.5),
             ms_per_frame_p99: quantile(&tally.frame_ms, 0.99),
             counters: self.node.counters(),

@@ -95,13 +95,13 @@ impl Barrier {
         self.open_request_count[vehicle_idx] = open_request_count;
     }
 
-    pub fn all_done(&self) -> bool {
-        self.done.iter().all(|done| *done)
+    pub fn first_not_done(&self) -> Option<usize> {
+        self.done.iter().position(|done| !done)
     }
 
     /// Whether the next tick may begin.
     pub fn is_passed(&mut self) -> bool {
-        if !self.all_done() {
+        if self.first_not_done().is_some() {
             return false;
         }
         self.notice_healed();

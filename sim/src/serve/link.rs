@@ -90,6 +90,14 @@ fn greet(mut stream: TcpStream) -> Result<TcpStream, stream::ReadError> {
     }
 }
 
+/// What a socket says after its timeout differs between systems.
+fn is_timeout(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut
+    )
+}
+
 /// A vehicle that said hello. Every error is a reason to give it up.
 pub struct Link {
     stream: TcpStream,
@@ -130,6 +138,14 @@ impl Link {
                 "acknowledged the frame of {captured_at}, expected {expected}"
             )),
             Ok(_) => Err("sent something else than an acknowledgement".into()),
+            Err(stream::ReadError::Io(error)) if is_timeout(&error) => {
+                let patience = self.stream.read_timeout().ok().flatten();
+                let waited_s = patience.map_or(0.0, |patience| patience.as_secs_f64());
+                Err(format!("said nothing for {waited_s:.0} s"))
+            }
+            Err(stream::ReadError::Io(error)) if error.kind() == io::ErrorKind::UnexpectedEof => {
+                Err("has left".into())
+            }
             Err(error) => Err(format!("no acknowledgement: {error}")),
         }
     }

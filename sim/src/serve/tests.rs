@@ -80,12 +80,7 @@ fn settings() -> ServeSettings {
 
 #[test]
 fn every_vehicle_gets_its_frames_and_only_the_anchor_gets_fixes() {
-    let folder = std::env::temp_dir().join(format!("sim-truth-{}", std::process::id()));
-    let settings = ServeSettings {
-        truth_folder: Some(folder.clone()),
-        ..settings()
-    };
-    let (report, seen) = run(&settings, [100; 3]);
+    let (report, seen) = run(&settings(), [100; 3]);
     assert_eq!(report.frame_count, 5);
     assert_eq!(seen.len(), 3);
     for (idx, vehicle) in seen.iter().enumerate() {
@@ -97,13 +92,53 @@ fn every_vehicle_gets_its_frames_and_only_the_anchor_gets_fixes() {
         let expected = if idx == 0 { (640, 360) } else { (324, 244) };
         let image = &vehicle.frames[0].image;
         assert_eq!((image.width(), image.height()), expected);
-        let path = folder.join(format!("{}.truth.tum", report.vehicles[idx].id));
-        let truth = std::fs::read_to_string(path).unwrap();
+        let truth = &report.vehicles[idx].truth_tum;
         assert_eq!(truth.lines().count(), 5);
         let last = truth.lines().last().unwrap();
         assert!(last.starts_with("10.400000000 ") && last.split(' ').count() == 8);
     }
-    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_wish_ends_the_route_in_order() {
+    static WISHED: AtomicBool = AtomicBool::new(true);
+    let settings = ServeSettings {
+        end_wished: Some(&WISHED),
+        ..settings()
+    };
+    let (report, seen) = run(&settings, [100; 3]);
+    assert_eq!(report.frame_count, 0);
+    assert!(seen.iter().all(|vehicle| vehicle.ended));
+}
+
+#[test]
+fn a_vehicle_that_hangs_is_lost_with_how_long_was_waited() {
+    let settings = ServeSettings {
+        acknowledge_timeout: Duration::from_millis(1200),
+        ..settings()
+    };
+    let mut lost = None;
+    let mut observe = |event: &ServeEvent| match event {
+        ServeEvent::Listening { vehicles, .. } => {
+            for (idx, vehicle) in vehicles.iter().enumerate() {
+                let address = vehicle.address;
+                thread::spawn(move || match idx {
+                    0 => {
+                        let mut stream = TcpStream::connect(address).unwrap();
+                        stream::write_message(&mut stream, &Message::Hello).unwrap();
+                        thread::sleep(Duration::from_secs(20));
+                    }
+                    _ => drop(fly(address, 100)),
+                });
+            }
+        }
+        ServeEvent::VehicleLost { id, reason } => {
+            lost.get_or_insert(format!("{id} {reason}"));
+        }
+        _ => {}
+    };
+    serve_scenario(&scenario(), &settings, &mut observe).unwrap();
+    assert_eq!(lost.unwrap(), "ugv1 said nothing for 1 s");
 }
 
 #[test]

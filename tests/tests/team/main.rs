@@ -8,6 +8,7 @@
 )]
 
 mod clock;
+mod ending;
 mod joining;
 mod outage;
 mod processes;

@@ -75,20 +75,16 @@ impl Vehicle {
         succeed(Command::new("kill").args(["-INT", &self.child.id().to_string()]));
     }
 
-    /// Waits until it ends by itself.
-    pub fn wait(mut self, patience: Duration) {
+    /// Waits until it ends by itself; its exit code.
+    pub fn wait(mut self, patience: Duration) -> i32 {
         let deadline = Instant::now() + patience;
         while self.child.try_wait().unwrap().is_none() {
             assert!(Instant::now() < deadline, "the vehicle does not end");
             std::thread::sleep(Duration::from_millis(50));
         }
-        assert!(
-            self.child
-                .wait()
-                .unwrap()
-                .code()
-                .is_some_and(|code| code == 0 || code == 3)
-        );
+        let code = self.child.wait().unwrap().code();
+        assert!(code == Some(0) || code == Some(3), "{code:?}");
+        code.unwrap()
     }
 }
 
