@@ -1,6 +1,7 @@
 //! Recordings as cameras: folders in TUM RGB-D, EuRoC or KITTI layout.
 
 mod argument;
+mod calibration_file;
 mod decode;
 mod layout;
 mod reader;
@@ -11,6 +12,7 @@ use camera::{Calibration, CalibrationError, Image};
 use geometry::Timestamp;
 
 pub use argument::{DatasetArgument, FrameRange, MalformedRange};
+pub use calibration_file::CalibrationFile;
 pub use decode::{ImageError, decode_grey, image_size};
 pub use layout::Layout;
 pub use reader::{Camera, CameraEvent, DatasetCamera, Frame};
@@ -75,17 +77,16 @@ pub enum DatasetError {
         path: PathBuf,
     },
     #[error(
-        "the calibration is for {expected_width}×{expected_height}, the image has \
-         {got_width}×{got_height}: {path}"
+        "the calibration is for {}×{}, the images have {}×{}: {calibration} and {image}",
+        expected_px.0, expected_px.1, got_px.0, got_px.1
     )]
     CalibrationSize {
-        expected_width: usize,
-        expected_height: usize,
-        got_width: usize,
-        got_height: usize,
-        path: PathBuf,
+        expected_px: (usize, usize),
+        got_px: (usize, usize),
+        calibration: PathBuf,
+        image: PathBuf,
     },
-    #[error("none of the {frame_count} images can be decoded; the first: {first}")]
+    #[error("no image could be decoded, of {frame_count}; the first: {first}")]
     NoImageDecodes {
         frame_count: usize,
         first: UnreadableImage,
@@ -101,42 +102,38 @@ pub struct UnreadableImage {
 }
 
 impl Dataset {
-    /// Opens a recording and checks that the calibration fits its images.
+    /// Opens a recording with the calibration that lies beside its images.
     pub fn open(argument: &DatasetArgument) -> Result<Self, DatasetError> {
+        Self::open_calibrated(argument, None)
+    }
+
+    /// Opens a recording and checks that an image can be decoded and has the calibration's size.
+    ///
+    /// - `given`: instead of the calibration beside the images, which then need not be there.
+    pub fn open_calibrated(
+        argument: &DatasetArgument,
+        given: Option<CalibrationFile>,
+    ) -> Result<Self, DatasetError> {
         let folder = argument.folder.clone();
         let layout = Layout::detect(&folder)?;
-        let all_frames = layout.list_frames(&folder)?;
-        let frame_count = all_frames.len();
-        let frames: Vec<FrameEntry> = match &argument.range {
-            Some(range) => all_frames
-                .into_iter()
-                .filter(|frame| range.contains(frame.frame_idx))
-                .collect(),
-            None => all_frames,
+        let frames = choose_frames(layout.list_frames(&folder)?, argument)?;
+        let (first_idx, first_size_px) = first_image(&frames)?;
+        let file = match given {
+            Some(file) => file,
+            None => layout.read_calibration(&folder, first_size_px)?,
         };
-        if let Some(range) = argument.range.filter(|_| frames.is_empty()) {
-            return Err(DatasetError::EmptyRange {
-                range,
-                frame_count,
-                folder,
-            });
-        }
-        let size = first_image_size(&frames)?;
-        let calibration = layout.read_calibration(&folder, (size.width, size.height))?;
-        let (width, height) = (calibration.camera.width(), calibration.camera.height());
-        if (width, height) != (size.width, size.height) {
+        if !has_size_soon(&frames[first_idx..], file.size_px()) {
             return Err(DatasetError::CalibrationSize {
-                expected_width: width,
-                expected_height: height,
-                got_width: size.width,
-                got_height: size.height,
-                path: size.path,
+                expected_px: file.size_px(),
+                got_px: first_size_px,
+                calibration: file.path,
+                image: frames[first_idx].path.clone(),
             });
         }
         Ok(Self {
             folder,
             layout,
-            calibration,
+            calibration: file.calibration,
             frames,
         })
     }
@@ -170,24 +167,34 @@ impl Dataset {
     }
 }
 
-struct FirstImage {
-    width: usize,
-    height: usize,
-    path: PathBuf,
+fn choose_frames(
+    all_frames: Vec<FrameEntry>,
+    argument: &DatasetArgument,
+) -> Result<Vec<FrameEntry>, DatasetError> {
+    let Some(range) = argument.range else {
+        return Ok(all_frames);
+    };
+    let frame_count = all_frames.len();
+    let frames: Vec<FrameEntry> = all_frames
+        .into_iter()
+        .filter(|frame| range.contains(frame.frame_idx))
+        .collect();
+    if frames.is_empty() {
+        return Err(DatasetError::EmptyRange {
+            range,
+            frame_count,
+            folder: argument.folder.clone(),
+        });
+    }
+    Ok(frames)
 }
 
-/// The size of the first image whose header can be read.
-fn first_image_size(frames: &[FrameEntry]) -> Result<FirstImage, DatasetError> {
+/// The first image that can be decoded, and its width and height.
+fn first_image(frames: &[FrameEntry]) -> Result<(usize, (usize, usize)), DatasetError> {
     let mut first_failure = None;
-    for frame in frames {
-        match read_bytes(&frame.path).and_then(|bytes| image_size(&bytes)) {
-            Ok((width, height)) => {
-                return Ok(FirstImage {
-                    width,
-                    height,
-                    path: frame.path.clone(),
-                });
-            }
+    for (idx, frame) in frames.iter().enumerate() {
+        match read_bytes(&frame.path).and_then(|bytes| decode_grey(&bytes)) {
+            Ok(image) => return Ok((idx, (image.width(), image.height()))),
             Err(reason) => {
                 first_failure.get_or_insert(UnreadableImage {
                     reason,
@@ -199,6 +206,17 @@ fn first_image_size(frames: &[FrameEntry]) -> Result<FirstImage, DatasetError> {
     Err(DatasetError::NoImageDecodes {
         frame_count: frames.len(),
         first: first_failure.expect("a range of frames is checked not to be empty"),
+    })
+}
+
+/// A recording may begin with images of another size; with more than these, it is the calibration
+/// that is wrong.
+const ODD_IMAGE_COUNT_MAX: usize = 10;
+
+fn has_size_soon(frames: &[FrameEntry], size_px: (usize, usize)) -> bool {
+    frames.iter().take(1 + ODD_IMAGE_COUNT_MAX).any(|frame| {
+        let size = read_bytes(&frame.path).and_then(|bytes| image_size(&bytes));
+        size.is_ok_and(|got_px| got_px == size_px)
     })
 }
 

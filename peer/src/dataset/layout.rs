@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use camera::{Calibration, CalibrationError, CameraModel, Distortion, Intrinsics};
 use geometry::Timestamp;
 
-use super::{DatasetError, FrameEntry};
+use super::{CalibrationFile, DatasetError, FrameEntry};
 use crate::files::parse_seconds;
 
 /// How a recording's folder is arranged.
@@ -76,19 +76,21 @@ impl Layout {
         self,
         folder: &Path,
         image_size_px: (usize, usize),
-    ) -> Result<Calibration, DatasetError> {
+    ) -> Result<CalibrationFile, DatasetError> {
         let mut candidates = vec![folder.join("camera.yaml"), folder.join("sensor.yaml")];
         if self == Self::Euroc {
             candidates.insert(0, euroc_camera(folder).join("sensor.yaml"));
         }
         if let Some(path) = candidates.into_iter().find(|path| path.is_file()) {
-            let text = read_text(&path)?;
-            return Calibration::from_euroc_yaml(&text)
-                .map_err(|error| DatasetError::Calibration { error, path });
+            return CalibrationFile::read(&path);
         }
         let kitti = folder.join("calib.txt");
         if self == Self::Kitti && kitti.is_file() {
-            return read_kitti_calibration(&kitti, image_size_px);
+            let calibration = read_kitti_calibration(&kitti, image_size_px)?;
+            return Ok(CalibrationFile {
+                calibration,
+                path: kitti,
+            });
         }
         Err(DatasetError::NoCalibration {
             expected: match self {

@@ -174,14 +174,55 @@ fn refuses_recordings_that_cannot_be_used_and_says_why() {
     );
     check(
         &|path| write(path, "camera.yaml", CAMERA.replace("[32, 24]", "[64, 48]")),
-        "the calibration is for 64×48, the image has 32×24",
+        "the calibration is for 64×48, the images have 32×24",
     );
     check(
         &|path| (0..4).for_each(|idx| write(path, &format!("rgb/{idx}.png"), "no image")),
-        "none of the 4 images can be decoded; the first: neither PNG nor JPEG",
+        "no image could be decoded, of 4; the first: neither PNG nor JPEG",
+    );
+    check(
+        &|path| {
+            let whole = grey_png(32, 24, 9);
+            for idx in 0..4 {
+                write(path, &format!("rgb/{idx}.png"), &whole[..whole.len() - 20]);
+            }
+        },
+        "no image could be decoded, of 4; the first: damaged PNG",
     );
     assert!(refusal(Path::new("/no/such/folder")).contains("no such folder"));
     assert!(refusal(Path::new(file!())).contains("no such folder"));
+}
+
+#[test]
+fn a_calibration_may_be_given_and_must_fit_the_images() {
+    let folder = tum_folder();
+    fs::remove_file(folder.path().join("camera.yaml")).unwrap();
+    let given = |name: &str, text: &str| {
+        write(folder.path(), name, text);
+        CalibrationFile::read(&folder.path().join(name)).unwrap()
+    };
+    let argument: DatasetArgument = folder.path().display().to_string().parse().unwrap();
+    let fits = given("fits.yaml", CAMERA);
+    assert!(Dataset::open_calibrated(&argument, Some(fits)).is_ok());
+    let other = given("other.yaml", &CAMERA.replace("[32, 24]", "[64, 48]"));
+    let error = Dataset::open_calibrated(&argument, Some(other)).unwrap_err();
+    let error = error.to_string();
+    for part in ["64×48", "32×24", "other.yaml", "rgb/0.png"] {
+        assert!(error.contains(part), "{error:?} lacks {part:?}");
+    }
+}
+
+#[test]
+fn an_odd_first_image_is_one_unreadable_image() {
+    let folder = tum_folder();
+    write(folder.path(), "rgb/0.png", grey_png(16, 12, 9));
+    let dataset = open(folder.path(), "").unwrap();
+    assert_eq!(dataset.calibration().camera.width(), 32);
+    let images = shades(DatasetCamera::inline(dataset));
+    assert_eq!(
+        images.iter().map(|image| image.0).collect::<Vec<_>>(),
+        [1, 2, 3]
+    );
 }
 
 #[test]
