@@ -1,17 +1,19 @@
 //! Position fixes from files: a trajectory of a site, or a table of geodetic positions.
 
+mod line;
+
 use std::path::{Path, PathBuf};
 
 use anchor::{FixPosition, PositionFix};
 use geodesy::Geodetic;
 use geometry::Timestamp;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::config::PositionConfig;
-use crate::files::parse_seconds;
+use line::parse_line;
 
 /// Why a file brings no fixes.
 #[derive(Debug, thiserror::Error)]
@@ -26,101 +28,201 @@ pub enum PositionError {
          (`timestamp,latitude_deg,longitude_deg,altitude_m[,sigma_m]`): {path}"
     )]
     NoFixes { line_count: usize, path: PathBuf },
+    #[error(
+        "no fix falls into the recording: the fixes span {}..{} s, the recording {}..{} s; \
+         are both stamped by one clock? {path}",
+        fixes.0, fixes.1, recording.0, recording.1
+    )]
+    NoOverlap {
+        fixes: (Timestamp, Timestamp),
+        recording: (Timestamp, Timestamp),
+        path: PathBuf,
+    },
 }
 
 /// The fixes of a file in the order of time, and what was left out.
 #[derive(Debug, Default)]
 pub struct FixFile {
     pub fixes: Vec<PositionFix>,
-    /// Lines that are no fix, for example with NaN in them.
-    pub malformed_count: usize,
-    /// Lines that are not newer than the one before.
-    pub out_of_order_count: usize,
+    /// In the order of the file.
+    pub skipped: Vec<SkippedLine>,
+    path: PathBuf,
+}
+
+/// A line that is left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SkippedLine {
+    /// Counted from one.
+    pub line: usize,
+    pub reason: SkipReason,
+}
+
+/// Why a line is left out, in words that a line number follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum SkipReason {
+    /// Not a fix, for example with NaN in it.
+    Malformed,
+    /// Its stamp does not fit between those of the lines around it.
+    OutOfOrder,
+    /// Geodetic among positions of a site, or the other way round.
+    OtherFrame,
 }
 
 /// Reads fixes. Of a trajectory only the positions are read, never the orientations.
+///
+/// Of lines whose stamps do not increase as few as possible are left out, so that one wrong stamp
+/// costs one fix, wherever it is. The first line may name the columns; `#` starts a comment.
 pub fn read_fixes(config: &PositionConfig, path: &Path) -> Result<FixFile, PositionError> {
     let text = std::fs::read_to_string(path).map_err(|error| PositionError::Unreadable {
         error,
         path: path.to_owned(),
     })?;
-    let mut file = FixFile::default();
-    let mut line_count = 0;
-    let mut newest: Option<Timestamp> = None;
-    for line in text.lines().map(str::trim) {
-        if line.is_empty() || line.starts_with(|first: char| first == '#' || first.is_alphabetic())
-        {
-            continue;
-        }
-        line_count += 1;
-        match parse_line(line, config) {
-            None => file.malformed_count += 1,
-            Some(fix) if newest.is_some_and(|newest| fix.captured_at <= newest) => {
-                file.out_of_order_count += 1;
+    let mut skipped = Vec::new();
+    let mut parsed: Vec<(usize, PositionFix)> = Vec::new();
+    for (line, text) in lines_with_content(&text) {
+        let skip = |reason| SkippedLine { line, reason };
+        match (parse_line(text, config), parsed.first()) {
+            (None, _) => skipped.push(skip(SkipReason::Malformed)),
+            (Some(fix), Some((_, first))) if is_geodetic(&fix) != is_geodetic(first) => {
+                skipped.push(skip(SkipReason::OtherFrame));
             }
-            Some(fix) => {
-                newest = Some(fix.captured_at);
-                file.fixes.push(disturbed(fix, config));
-            }
+            (Some(fix), _) => parsed.push((line, fix)),
         }
     }
-    if file.fixes.is_empty() {
+    let line_count = skipped.len() + parsed.len();
+    let stamps: Vec<Timestamp> = parsed.iter().map(|(_, fix)| fix.captured_at).collect();
+    let in_order = longest_increasing(&stamps);
+    let mut fixes = Vec::with_capacity(parsed.len());
+    for ((line, fix), is_in_order) in parsed.into_iter().zip(in_order) {
+        if is_in_order {
+            fixes.push(disturbed(fix, config));
+        } else {
+            let reason = SkipReason::OutOfOrder;
+            skipped.push(SkippedLine { line, reason });
+        }
+    }
+    skipped.sort_by_key(|skipped| skipped.line);
+    if fixes.is_empty() {
         return Err(PositionError::NoFixes {
             line_count,
             path: path.to_owned(),
         });
     }
-    Ok(file)
+    Ok(FixFile {
+        fixes,
+        skipped,
+        path: path.to_owned(),
+    })
 }
 
-fn parse_line(line: &str, config: &PositionConfig) -> Option<PositionFix> {
-    let (captured_at, position, sigma_m) = if line.contains(',') {
-        parse_geodetic(line)?
-    } else {
-        parse_site(line)?
-    };
-    let stated_m = sigma_m.unwrap_or(config.sigma_m);
-    let sigma_m = stated_m.hypot(config.noise_m);
-    let fix = PositionFix {
-        captured_at,
-        position,
-        covariance: Matrix3::identity() * (sigma_m * sigma_m),
-        heading: None,
-    };
-    fix.is_well_formed().then_some(fix)
+impl FixFile {
+    /// The fixes between two moments; there must be one.
+    pub fn within(
+        &self,
+        first: Timestamp,
+        last: Timestamp,
+    ) -> Result<Vec<PositionFix>, PositionError> {
+        let fixes = self.fixes.iter();
+        let within = fixes.filter(|fix| (first..=last).contains(&fix.captured_at));
+        let within: Vec<PositionFix> = within.cloned().collect();
+        match (within.is_empty(), self.fixes.first(), self.fixes.last()) {
+            (true, Some(oldest), Some(newest)) => Err(PositionError::NoOverlap {
+                fixes: (oldest.captured_at, newest.captured_at),
+                recording: (first, last),
+                path: self.path.clone(),
+            }),
+            _ => Ok(within),
+        }
+    }
+
+    /// What was left out, for a person: how many lines, the first of each kind, and the file.
+    pub fn warning(&self) -> Option<String> {
+        let kinds = [
+            (SkipReason::Malformed, "no fix"),
+            (SkipReason::OutOfOrder, "out of order"),
+            (SkipReason::OtherFrame, "of another kind of frame"),
+        ];
+        let described = kinds.iter().filter_map(|(reason, words)| {
+            let lines = self.skipped.iter().filter(|one| one.reason == *reason);
+            let lines: Vec<usize> = lines.map(|one| one.line).collect();
+            (!lines.is_empty()).then(|| format!("{words}: {}", name_lines(&lines)))
+        });
+        let described: Vec<String> = described.collect();
+        (!described.is_empty()).then(|| {
+            format!(
+                "skipped {} of {} fixes ({}): {}",
+                self.skipped.len(),
+                self.skipped.len() + self.fixes.len(),
+                described.join("; "),
+                self.path.display()
+            )
+        })
+    }
 }
 
-type ParsedLine = (Timestamp, FixPosition, Option<f64>);
+/// How many line numbers a person is told.
+const NAMED_LINE_COUNT: usize = 5;
 
-fn parse_site(line: &str) -> Option<ParsedLine> {
-    let mut fields = line.split_whitespace();
-    let captured_at = parse_seconds(fields.next()?)?;
-    let mut coordinate = || finite(fields.next()?);
-    let point = Vector3::new(coordinate()?, coordinate()?, coordinate()?);
-    // What follows is an orientation, and is left alone.
-    Some((captured_at, FixPosition::Local(point), None))
+fn name_lines(lines: &[usize]) -> String {
+    let named: Vec<String> = lines
+        .iter()
+        .take(NAMED_LINE_COUNT)
+        .map(usize::to_string)
+        .collect();
+    let noun = if lines.len() == 1 { "line" } else { "lines" };
+    let more = match lines.len().saturating_sub(NAMED_LINE_COUNT) {
+        0 => String::new(),
+        more_count => format!(" and {more_count} more"),
+    };
+    format!("{noun} {}{more}", named.join(", "))
 }
 
-fn parse_geodetic(line: &str) -> Option<ParsedLine> {
-    let fields: Vec<&str> = line.split(',').map(str::trim).collect();
-    let &[stamp, latitude, longitude, height, ref rest @ ..] = fields.as_slice() else {
-        return None;
-    };
-    let position =
-        Geodetic::from_degrees(finite(latitude)?, finite(longitude)?, finite(height)?).ok()?;
-    let sigma_m = match rest {
-        [] | [""] => None,
-        [sigma_m, ..] => Some(finite(sigma_m).filter(|sigma_m| *sigma_m > 0.0)?),
-    };
-    Some((
-        parse_seconds(stamp)?,
-        FixPosition::Geodetic(position),
-        sigma_m,
-    ))
+/// Lines with their numbers from one, without comments and a line of names at the top.
+fn lines_with_content(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    // Spreadsheets begin their files with a byte order mark.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let lines = text.lines().map(str::trim).enumerate();
+    let lines = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+    lines
+        .enumerate()
+        .filter(|(idx, (_, line))| *idx > 0 || !names_columns(line))
+        .map(|(_, (line_idx, line))| (line_idx + 1, line))
 }
 
-fn finite(text: &str) -> Option<f64> {
-    text.parse().ok().filter(|value: &f64| value.is_finite())
+/// Whether no field is a number. `nan` is one, and no name of a column.
+fn names_columns(line: &str) -> bool {
+    line.split([',', ' ', '\t'])
+        .filter(|field| !field.is_empty())
+        .all(|field| field.parse::<f64>().is_err())
+}
+
+/// Which stamps belong to the longest strictly increasing run through all of them; of equally
+/// long ones the run with the earlier lines.
+fn longest_increasing(stamps: &[Timestamp]) -> Vec<bool> {
+    // From the back: `tails[length - 1]` is the line with the largest stamp that begins a run of
+    // that length, so the stamps of the tails fall and can be searched.
+    let mut tails: Vec<usize> = Vec::new();
+    let mut next = vec![None; stamps.len()];
+    for (idx, stamp) in stamps.iter().enumerate().rev() {
+        let length = tails.partition_point(|tail| stamps[*tail] > *stamp);
+        next[idx] = length.checked_sub(1).map(|shorter| tails[shorter]);
+        if length == tails.len() {
+            tails.push(idx);
+        } else {
+            tails[length] = idx;
+        }
+    }
+    let mut in_run = vec![false; stamps.len()];
+    let mut idx = tails.last().copied();
+    while let Some(current) = idx {
+        in_run[current] = true;
+        idx = next[current];
+    }
+    in_run
+}
+
+fn is_geodetic(fix: &PositionFix) -> bool {
+    matches!(fix.position, FixPosition::Geodetic(_))
 }
 
 /// The fix with noise that depends on nothing but the seed and its own stamp, so that fixes that
@@ -148,58 +250,4 @@ fn disturbed(fix: PositionFix, config: &PositionConfig) -> PositionFix {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn read(text: &str, noise_m: f64) -> Result<FixFile, PositionError> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("fixes.txt");
-        std::fs::write(&path, text).unwrap();
-        let config = PositionConfig {
-            sigma_m: 0.1,
-            noise_m,
-            noise_seed: 3,
-            ..PositionConfig::default()
-        };
-        read_fixes(&config, &path)
-    }
-
-    #[test]
-    fn orientations_are_not_read() {
-        let plain = read("0.5 1 2 3\n", 0.0).unwrap();
-        let turned = read("0.5 1 2 3 0.1 0.2 0.3 0.9\n", 0.0).unwrap();
-        let nonsense = read("0.5 1 2 3 nan nan x y\n", 0.0).unwrap();
-        assert_eq!(plain.fixes, turned.fixes);
-        assert_eq!(plain.fixes, nonsense.fixes);
-    }
-
-    #[test]
-    fn bad_lines_are_counted_and_skipped() {
-        let text = "# stamp\n0 1 2 3\n1 nan 2 3\n0.5 1 2 3\n0.5 1 2 3\n0.2 1 2 3\n2 1\n3 1 2 3\n";
-        let file = read(text, 0.0).unwrap();
-        assert_eq!(file.fixes.len(), 3);
-        assert_eq!((file.malformed_count, file.out_of_order_count), (2, 2));
-        assert!(read("nothing here\n", 0.0).is_err());
-    }
-
-    #[test]
-    fn reads_geodetic_positions_with_their_sigma() {
-        let file = read(
-            "timestamp,latitude_deg\n0,52.1,13.2,40\n1,52.1,13.2,40,0.5\n",
-            0.0,
-        );
-        let fixes = file.unwrap().fixes;
-        assert!((fixes[0].sigma_m() - 0.1).abs() < 1e-12);
-        assert!((fixes[1].sigma_m() - 0.5).abs() < 1e-12);
-        assert!(matches!(fixes[1].position, FixPosition::Geodetic(_)));
-    }
-
-    #[test]
-    fn noise_of_a_fix_depends_on_its_stamp_alone() {
-        let all = read("0 1 2 3\n1 1 2 3\n2 1 2 3\n", 0.5).unwrap().fixes;
-        let some = read("0 1 2 3\n2 1 2 3\n", 0.5).unwrap().fixes;
-        assert_eq!(all[0], some[0]);
-        assert_eq!(all[2], some[1]);
-        assert_ne!(all[0].position, all[1].position);
-    }
-}
+mod tests;

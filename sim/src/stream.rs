@@ -77,6 +77,7 @@ pub enum Malformed {
     ImageSize { width: u32, height: u32 },
     #[error("payload of {got} bytes, expected {expected}")]
     PayloadSize { got: usize, expected: usize },
+    /// The one of these after which the next message can be read: its length was right.
     #[error("a fix holds a number that is not finite")]
     NotFinite,
 }

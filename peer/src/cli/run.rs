@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use super::{Exit, output};
 use crate::config::VehicleConfig;
 use crate::process::control::Report;
-use crate::process::{Supervision, fly};
+use crate::process::{Supervision, VehicleSummary, fly};
 
 #[derive(clap::Args)]
 pub struct RunArguments {
@@ -51,13 +51,22 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<Exit> {
             summary.frame_count
         ));
     }
-    match summary.loss() {
+    if supervised {
         // The parent knows the summary, and decides.
-        Some(loss) if !supervised => {
-            output::diagnose(&format!("warning: {}: {loss}", summary.id));
-            Ok(Exit::DoneWithLoss)
-        }
-        _ => Ok(Exit::Done),
+        return Ok(Exit::Done);
+    }
+    Ok(exit_of(&summary))
+}
+
+fn exit_of(summary: &VehicleSummary) -> Exit {
+    let Some(loss) = summary.loss() else {
+        return Exit::Done;
+    };
+    output::diagnose(&format!("warning: {}: {loss}", summary.id));
+    if summary.frame_count == 0 && summary.input_error.is_some() {
+        Exit::Refused
+    } else {
+        Exit::DoneWithLoss
     }
 }
 

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::run::client_line;
 use super::{Exit, UsageError, output};
-use crate::config::PositionConfig;
+use crate::config::{PositionConfig, SIGMA_MAX_M};
 use crate::dataset::DatasetArgument;
 use crate::team::{
     Ending, Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly, table,
@@ -22,8 +22,10 @@ pub struct TeamArguments {
     /// Position fixes of the anchor before it: TUM (site frame) or CSV (WGS84).
     #[arg(long, value_name = "FILE", required = true)]
     pub fixes: Vec<PathBuf>,
-    /// Noise added to each fix, one sigma per axis, drawn from the seed and the fix's stamp.
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    /// Noise added to each fix, one sigma per axis, 0 to 1000 m; drawn from the seed and the fix's
+    /// stamp.
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true,
+          value_parser = parse_noise)]
     pub fix_noise_m: f64,
     /// A recording flown as a peer; may be repeated.
     #[arg(long, value_name = "DATASET[@A..B]")]
@@ -34,12 +36,18 @@ pub struct TeamArguments {
     /// Cuts all links, or those of one vehicle, in seconds since the start; may be repeated.
     #[arg(long, value_name = "[VEHICLE:]A..B")]
     pub outage: Vec<Outage>,
-    /// Threads per vehicle; with one and without an outage two runs agree bit for bit.
-    #[arg(long, default_value_t = 1)]
-    pub threads: usize,
+    /// Threads per vehicle for decoding and estimation. The estimator uses one: with more, the
+    /// next images are decoded meanwhile, and the trajectories are the same. Without an outage
+    /// two runs agree bit for bit.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: u16,
+    /// Seeds the fix noise and the estimators.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Print one JSON object.
+    /// Print one JSON object. Its `ok` is true if every vehicle flew to the end and nothing was
+    /// lost on the way: no image unreadable, no fix skipped, no message dropped. Otherwise the
+    /// exit code is 3. A vehicle that does not become Global is no loss; its `state` and `reason`
+    /// say so.
     #[arg(long)]
     pub json: bool,
 }
@@ -116,13 +124,6 @@ fn print(report: &TeamReport, ok: bool, json: bool) -> anyhow::Result<()> {
 }
 
 fn plan(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<TeamPlan> {
-    if !(arguments.fix_noise_m >= 0.0 && arguments.fix_noise_m.is_finite()) {
-        let message = format!(
-            "--fix-noise-m is {}, expected at least 0",
-            arguments.fix_noise_m
-        );
-        return Err(UsageError(message).into());
-    }
     let fixes = fixes_of_anchors(arguments, order)?;
     let anchors = arguments.anchor.iter().zip(&fixes).enumerate();
     let anchors = anchors.map(|(idx, (dataset, fixes))| PlannedVehicle {
@@ -153,9 +154,16 @@ fn plan(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<TeamPla
         vehicles,
         outages: arguments.outage.clone(),
         out: arguments.out.clone(),
-        threads: arguments.threads,
+        threads: usize::from(arguments.threads),
         seed: arguments.seed,
     })
+}
+
+fn parse_noise(text: &str) -> Result<f64, String> {
+    let noise_m = text.parse().ok();
+    noise_m
+        .filter(|noise_m| (0.0..=SIGMA_MAX_M).contains(noise_m))
+        .ok_or_else(|| format!("expected 0 to {SIGMA_MAX_M} metres"))
 }
 
 /// Each `--fixes` belongs to the `--anchor` before it.

@@ -15,6 +15,12 @@ pub struct VehicleSummary {
     pub frame_count: u64,
     /// Images that could not be used.
     pub unreadable_count: u64,
+    /// Fixes that could not be used: with NaN, out of order, of another kind of frame.
+    #[serde(default)]
+    pub skipped_fix_count: u64,
+    /// Why the input ended before its end; null if it did not.
+    #[serde(default)]
+    pub input_error: Option<String>,
     pub global_frame_count: u64,
     pub global_share: Option<f64>,
     /// From the first frame to the first global pose.
@@ -44,13 +50,13 @@ impl VehicleSummary {
     pub fn loss(&self) -> Option<String> {
         let counts = [
             (self.unreadable_count, "images skipped"),
+            (self.skipped_fix_count, "fixes skipped"),
             (self.dropped_count, "messages dropped"),
             (self.unwritten_count, "writes failed"),
         ];
         let counts = counts.iter().filter(|(count, _)| *count > 0);
-        let parts: Vec<String> = counts
-            .map(|(count, what)| format!("{count} {what}"))
-            .collect();
+        let counts = counts.map(|(count, what)| format!("{count} {what}"));
+        let parts: Vec<String> = counts.chain(self.input_error.clone()).collect();
         (!parts.is_empty()).then(|| parts.join(", "))
     }
 }

@@ -8,7 +8,7 @@ use protocol::VehicleState;
 
 use super::VehicleSummary;
 use super::control::Counted;
-use super::input::Input;
+use super::input::{Input, Skipped};
 use super::loss::Loss;
 use super::outputs::Outputs;
 use crate::config::VehicleConfig;
@@ -35,6 +35,8 @@ pub struct Vehicle {
 struct Tally {
     frame_count: u64,
     unreadable_count: u64,
+    skipped_fix_count: u64,
+    input_error: Option<String>,
     global_frame_count: u64,
     first_captured_at: Option<Timestamp>,
     first_global_at: Option<Timestamp>,
@@ -101,13 +103,22 @@ impl Vehicle {
                 reason,
             } => {
                 self.tally.begin_frame(captured_at);
-                self.tally.unreadable_count += 1;
-                if self.tally.unreadable_count == 1 {
-                    tracing::warn!(reason, "image skipped; further ones are only counted");
-                }
+                self.tally.skip(Skipped::Frame, 1, &reason);
                 self.take(Event::Tick, now);
             }
             Input::Fix(fix) => self.take(Event::Fix(fix), now),
+            Input::Skipped {
+                what,
+                count,
+                reason,
+            } => {
+                self.tally.frame_count += if what == Skipped::Frame { count } else { 0 };
+                self.tally.skip(what, count, &reason);
+            }
+            Input::BrokenOff { reason } => {
+                tracing::error!("{reason}");
+                self.tally.input_error = Some(reason);
+            }
             Input::End => {}
         }
     }
@@ -192,6 +203,8 @@ impl Vehicle {
             reason: status.reason.clone(),
             frame_count: tally.frame_count,
             unreadable_count: tally.unreadable_count,
+            skipped_fix_count: tally.skipped_fix_count,
+            input_error: tally.input_error.clone(),
             global_frame_count: tally.global_frame_count,
             global_share: (tally.frame_count > 0)
                 .then(|| tally.global_frame_count as f64 / tally.frame_count as f64),
@@ -215,6 +228,21 @@ impl Tally {
     fn begin_frame(&mut self, captured_at: Timestamp) {
         self.frame_count += 1;
         self.first_captured_at.get_or_insert(captured_at);
+    }
+
+    /// Counts what cannot be used, and says so for the first of each kind.
+    fn skip(&mut self, what: Skipped, count: u64, reason: &str) {
+        let (counted, noun) = match what {
+            Skipped::Frame => (&mut self.unreadable_count, "image"),
+            Skipped::Fix => (&mut self.skipped_fix_count, "fix"),
+        };
+        let is_first = *counted == 0;
+        *counted += count;
+        if is_first && count == 1 {
+            tracing::warn!("{noun} skipped, further ones are only counted: {reason}");
+        } else if is_first {
+            tracing::warn!("{reason}");
+        }
     }
 
     fn count_pose(&mut self, pose: &FramePose) {

@@ -24,7 +24,12 @@ pub struct VehicleReport {
     pub bytes_sent: u64,
     pub without_link_s: f64,
     pub jumps: u64,
+    /// Messages that are none.
     pub malformed: u64,
+    /// Images and fixes that could not be used, and messages for which there was no room.
+    pub unreadable_images: u64,
+    pub skipped_fixes: u64,
+    pub dropped_messages: u64,
     pub ms_per_frame_p50: Option<f64>,
 }
 
@@ -62,6 +67,9 @@ impl VehicleReport {
             without_link_s: summary.without_link_s,
             jumps: summary.counters.jumps,
             malformed: summary.counters.malformed,
+            unreadable_images: summary.unreadable_count,
+            skipped_fixes: summary.skipped_fix_count,
+            dropped_messages: summary.dropped_count,
             ms_per_frame_p50: summary.ms_per_frame_p50,
         }
     }
