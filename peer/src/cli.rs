@@ -32,6 +32,12 @@ pub enum Exit {
 #[error("{0}")]
 pub struct UsageError(pub String);
 
+impl UsageError {
+    fn because(error: impl std::error::Error) -> Self {
+        Self(error.to_string())
+    }
+}
+
 /// A global pose for every vehicle of a team, when only some of them can see the sky.
 #[derive(Parser)]
 #[command(name = "starling", version, arg_required_else_help = true)]

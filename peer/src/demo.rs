@@ -11,6 +11,7 @@ use anyhow::{Context, anyhow, bail};
 use sim::{Cut, ScenarioName, VehicleDescription};
 
 use crate::config::{CameraConfig, EstimationConfig, PositionConfig, VehicleConfig};
+use crate::files::create_folder;
 use crate::process::VehicleSummary;
 use crate::process::control::Report;
 use crate::process::interrupt;
@@ -70,7 +71,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Flies the demo, and judges it once everybody has ended.
 pub fn fly(plan: &DemoPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Result<DemoReport> {
     let out = std::path::absolute(&plan.out)?;
-    std::fs::create_dir_all(&out).with_context(|| format!("cannot create {}", out.display()))?;
+    create_folder(&out)?;
     remove_judgements(plan, &out);
     interrupt::listen();
     let simulator = Simulator::start(plan.scenario.name(), plan.seed)?;

@@ -2,18 +2,20 @@
 
 mod cloud;
 mod covariance;
+mod destination;
 mod pcd;
 mod ply;
 mod stamp;
 mod tum;
 mod xyz;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-pub use cloud::{PointCloud, read_cloud, write_cloud};
+pub use cloud::{PointCloud, check_cloud_name, read_cloud, write_cloud};
 pub use covariance::{
     COVARIANCE_HEADER, format_covariance_line, read_covariances, write_covariances,
 };
+pub use destination::{check_destination, create_folder};
 pub use stamp::parse_seconds;
 pub use tum::{StampedPose, format_tum_line, parse_tum_line, read_tum, write_tum};
 
@@ -38,17 +40,6 @@ pub enum FileError {
     },
     #[error("{reason}: {path}")]
     Content { reason: String, path: PathBuf },
-}
-
-/// Makes the folder that a file will be written to, before the work that fills it.
-pub fn create_folder_of(path: &Path) -> Result<(), FileError> {
-    let Some(folder) = path.parent() else {
-        return Ok(());
-    };
-    std::fs::create_dir_all(folder).map_err(|error| FileError::Write {
-        error,
-        path: folder.to_owned(),
-    })
 }
 
 #[cfg(test)]

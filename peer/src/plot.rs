@@ -134,22 +134,40 @@ impl Plot {
 
     /// Writes PNG or SVG, as the name says.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
-        let extension = path.extension().unwrap_or_default().to_string_lossy();
-        let bytes = match extension.to_ascii_lowercase().as_str() {
-            "svg" => self.to_svg().into_bytes(),
-            "png" => self.to_png(),
-            _ => {
-                return Err(FileError::Content {
-                    reason: "expected a name that ends with .svg or .png".to_owned(),
-                    path: path.to_owned(),
-                });
-            }
+        let bytes = match PictureFormat::of(path)? {
+            PictureFormat::Svg => self.to_svg().into_bytes(),
+            PictureFormat::Png => self.to_png(),
         };
         fs::write(path, bytes).map_err(|error| FileError::Write {
             error,
             path: path.to_owned(),
         })
     }
+}
+
+/// The formats by the extension of a file's name.
+enum PictureFormat {
+    Svg,
+    Png,
+}
+
+impl PictureFormat {
+    fn of(path: &Path) -> Result<Self, FileError> {
+        let extension = path.extension().unwrap_or_default().to_string_lossy();
+        match extension.to_ascii_lowercase().as_str() {
+            "svg" => Ok(Self::Svg),
+            "png" => Ok(Self::Png),
+            _ => Err(FileError::Content {
+                reason: "expected a name that ends with .svg or .png".to_owned(),
+                path: path.to_owned(),
+            }),
+        }
+    }
+}
+
+/// Whether the extension names a format that pictures are written in.
+pub fn check_picture_name(path: &Path) -> Result<(), FileError> {
+    PictureFormat::of(path).map(drop)
 }
 
 #[cfg(test)]

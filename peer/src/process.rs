@@ -12,7 +12,6 @@ mod vehicle;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
 use camera::Calibration;
 use geodesy::Datum;
 use geometry::Timestamp;
@@ -21,6 +20,7 @@ use protocol::VehicleId;
 use protocol::keys::Key;
 
 use crate::config::VehicleConfig;
+use crate::files::create_folder;
 use crate::link::{Inbox, LinkEvent, inbox};
 use crate::node::{Event, Node, NodeSettings, PositionSource};
 use crate::store::{Reloaded, Store};
@@ -63,8 +63,7 @@ pub fn fly(
     if supervision != Supervision::None {
         interrupt::leave_to_parent();
     }
-    std::fs::create_dir_all(&config.out)
-        .with_context(|| format!("cannot create {}", config.out.display()))?;
+    create_folder(&config.out)?;
     let mut source = input::open(config)?;
     let held = open_store(config)?;
     let node = open_node(config, source.calibration(), &held.1)?;

@@ -18,6 +18,7 @@ use crate::config::{
     CameraConfig, EstimationConfig, PositionConfig, VehicleConfig, ZenohConfig, ZenohMode,
 };
 use crate::dataset::{Dataset, DatasetArgument};
+use crate::files::create_folder;
 use crate::process::VehicleSummary;
 use crate::process::control::{Order, Report};
 use crate::process::interrupt::{self, Interrupted};
@@ -129,8 +130,7 @@ const TICK_PATIENCE: Duration = Duration::from_secs(30);
 
 /// Flies the plan, at most in real time.
 pub fn fly(plan: &TeamPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Result<TeamReport> {
-    std::fs::create_dir_all(&plan.out)
-        .with_context(|| format!("cannot create {}", plan.out.display()))?;
+    create_folder(&plan.out)?;
     let recordings = open_recordings(plan)?;
     let ticks = clock::ticks(&recordings);
     interrupt::listen();

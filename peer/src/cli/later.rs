@@ -47,7 +47,7 @@ pub fn run(command: &LaterCommand) -> anyhow::Result<Exit> {
         LaterCommand::Georeference(_) => "georeference",
         LaterCommand::Keys(_) => "keys",
         LaterCommand::Calibrate(_) => "calibrate",
-        LaterCommand::Config(_) => "config",
+        LaterCommand::Config(_) => "config check",
         LaterCommand::Doctor(_) => "doctor",
         LaterCommand::Swarm(_) => "swarm",
         LaterCommand::Markers(_) => "markers",

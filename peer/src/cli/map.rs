@@ -2,16 +2,17 @@
 
 mod collect;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::bail;
 use clap::Subcommand;
+use protocol::keys::MapParameters;
 use serde::Serialize;
 
-use super::{Exit, output};
-use crate::files::{PointCloud, write_cloud};
-use crate::link::ask;
+use super::{Exit, UsageError, output};
+use crate::files::{PointCloud, check_cloud_name, check_destination, write_cloud};
+use crate::link::{Question, ask};
 use collect::Collection;
 
 #[derive(Subcommand)]
@@ -22,12 +23,15 @@ pub enum MapCommand {
 
 #[derive(clap::Args)]
 pub struct GetArguments {
-    /// A key expression: 'anchor/*/map' lists maps, 'anchor/*/map/*/*' brings chunks.
+    /// A key expression: 'anchor/*/map' lists maps, 'anchor/*/map/*/*' brings chunks. It may end
+    /// with `?bbox=east_min,north_min,east_max,north_max` (metres in the manifest's datum) and
+    /// `since={epoch}:{n}`, separated by `;`.
     pub selector: String,
     /// Where to ask; may be repeated.
     #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
     pub connect: Vec<String>,
-    /// Export the points; the extension chooses the format: ply, pcd, xyz or csv.
+    /// Export the points; the extension chooses the format: ply, pcd, xyz, csv or txt. Not built
+    /// yet: las, geojson, mcap.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Print one JSON object.
@@ -65,6 +69,10 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 pub fn run(command: &MapCommand) -> anyhow::Result<Exit> {
     let MapCommand::Get(arguments) = command;
+    check_selector(&arguments.selector)?;
+    if let Some(path) = &arguments.out {
+        check_out(path)?;
+    }
     let mut collection = Collection::default();
     let take = |collection: &mut Collection, selector: &str| -> anyhow::Result<usize> {
         let replies = ask(&arguments.connect, selector, PATIENCE)?;
@@ -117,6 +125,40 @@ pub fn run(command: &MapCommand) -> anyhow::Result<Exit> {
     })
 }
 
+/// Refuses what holders would take for no question, or answer as if it were not there.
+fn check_selector(selector: &str) -> Result<(), UsageError> {
+    let question = Question::parse(selector).ok_or_else(|| {
+        UsageError(format!(
+            "{selector:?} is no key expression; expected one such as 'anchor/*/map'"
+        ))
+    })?;
+    MapParameters::parse(question.parameters()).map_err(UsageError::because)?;
+    let names = question.parameters().split(';');
+    let mut names = names.map(|part| part.split('=').next().unwrap_or_default());
+    // zenoh's own begin with an underscore.
+    let known = |name: &str| ["", "bbox", "since"].contains(&name) || name.starts_with('_');
+    match names.find(|name| !known(name)) {
+        Some(name) => Err(UsageError(format!(
+            "{selector:?} has a parameter {name:?}; expected bbox=… or since=…, separated by ;"
+        ))),
+        None => Ok(()),
+    }
+}
+
+fn check_out(path: &Path) -> anyhow::Result<()> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy();
+    let extension = extension.to_ascii_lowercase();
+    if ["las", "geojson", "mcap"].contains(&extension.as_str()) {
+        bail!(
+            "export as .{extension} is not built yet; use .ply, .pcd, .xyz, .csv or .txt: {}",
+            path.display()
+        );
+    }
+    check_cloud_name(path).map_err(UsageError::because)?;
+    check_destination(path)?;
+    Ok(())
+}
+
 fn print(maps: Vec<MapSummary>, arguments: &GetArguments) -> anyhow::Result<()> {
     if arguments.json {
         return output::print_json(&MapJson {
@@ -139,4 +181,48 @@ fn print(maps: Vec<MapSummary>, arguments: &GetArguments) -> anyhow::Result<()> 
         ));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_question_that_makes_no_sense_is_refused_with_the_form_expected() {
+        for good in [
+            "anchor/*/map",
+            "anchor/*/map/**?bbox=1,2,3,4",
+            "anchor/*/map/*/*?since=1-0000000a:7;bbox=-1,-2,3,4.5;_time=[now(-1s)..]",
+        ] {
+            assert!(check_selector(good).is_ok(), "{good}");
+        }
+        for (bad, expected) in [
+            (
+                "anchor/*/map?bbox=1",
+                "east_min,north_min,east_max,north_max",
+            ),
+            ("anchor/*/map?since=zz", "{epoch}:{n}"),
+            ("anchor/*/map?box=1,2,3,4", "parameter \"box\""),
+            ("anchor//map", "is no key expression"),
+            ("", "is no key expression"),
+        ] {
+            let error = check_selector(bad).unwrap_err().to_string();
+            assert!(error.contains(expected), "{bad}: {error}");
+        }
+    }
+
+    #[test]
+    fn where_points_go_is_checked_before_anybody_is_asked() {
+        let folder = tempfile::tempdir().unwrap();
+        let refusal = |name: &str| check_out(&folder.path().join(name)).unwrap_err();
+        for name in ["a.las", "a.GeoJSON", "a.mcap"] {
+            let error = refusal(name);
+            assert!(!error.is::<UsageError>(), "{error}");
+            assert!(error.to_string().contains("is not built yet"), "{error}");
+        }
+        assert!(refusal("a.doc").is::<UsageError>());
+        std::fs::create_dir(folder.path().join("a.ply")).unwrap();
+        let error = refusal("a.ply").to_string();
+        assert!(error.starts_with("this is a folder"), "{error}");
+    }
 }

@@ -1,5 +1,6 @@
 //! The one place that writes to stdout and stderr: results there, diagnostics here.
 
+use std::ffi::OsStr;
 use std::io::{ErrorKind, IsTerminal, Write};
 
 use anyhow::Context;
@@ -37,11 +38,19 @@ pub fn start_log() {
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error"));
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
+        .with_ansi(wants_color(
+            std::io::stderr().is_terminal(),
+            std::env::var_os("NO_COLOR").as_deref(),
+        ))
         .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
         .finish();
     // Fails only when a test has already installed one, which is then used.
     let _ = tracing::subscriber::set_global_default(subscriber);
+}
+
+/// Colour is for a person at a terminal who has not said no (<https://no-color.org>).
+fn wants_color(is_terminal: bool, no_color: Option<&OsStr>) -> bool {
+    is_terminal && no_color.is_none_or(OsStr::is_empty)
 }
 
 /// A progress bar on stderr, drawn only on a terminal.
@@ -67,5 +76,18 @@ impl Progress {
 
     pub fn finish(&self) {
         self.bar.finish_and_clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn color_is_for_terminals_of_those_who_have_not_said_no() {
+        assert!(wants_color(true, None));
+        assert!(wants_color(true, Some(OsStr::new(""))));
+        assert!(!wants_color(true, Some(OsStr::new("1"))));
+        assert!(!wants_color(false, None));
     }
 }

@@ -13,9 +13,9 @@ use registration::{
 };
 use serde::Serialize;
 
-use super::{Exit, output};
+use super::{Exit, UsageError, output};
 use crate::files;
-use crate::plot::{Color, Layer, Mark, Plot};
+use crate::plot::{Color, Layer, Mark, Plot, check_picture_name};
 
 #[derive(clap::Args)]
 pub struct RegisterArguments {
@@ -70,6 +70,8 @@ struct RegisterSummary {
     rmse_m: Option<f64>,
     overlap: Option<f64>,
     iterations: Option<usize>,
+    /// Points of both clouds that are not finite.
+    dropped_points: usize,
     ms_preprocess: f64,
     ms_align: f64,
     /// Over `[ω; ν; ln s]`, row by row.
@@ -89,8 +91,12 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
         max_distance_m: arguments.max_distance,
         ..RegisterSettings::default()
     };
-    let source = files::read_cloud(&arguments.source)?.into_cloud();
-    let target = files::read_cloud(&arguments.target)?.into_cloud();
+    if let Some(path) = &arguments.plot {
+        check_picture_name(path).map_err(UsageError::because)?;
+        files::check_destination(path)?;
+    }
+    let (source, source_dropped) = read_finite(&arguments.source)?;
+    let (target, target_dropped) = read_finite(&arguments.target)?;
 
     let started = Instant::now();
     let (prepared_source, prepared_target) =
@@ -103,7 +109,10 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
     if let Some(path) = &arguments.plot {
         plot_of(&source, &target, &settings.start, &outcome).write(path)?;
     }
-    let summary = summarise(&outcome, ms_preprocess, ms_align);
+    let summary = RegisterSummary {
+        dropped_points: source_dropped + target_dropped,
+        ..summarise(&outcome, ms_preprocess, ms_align)
+    };
     if arguments.json {
         output::print_json(&summary)?;
     } else {
@@ -113,6 +122,29 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
         Outcome::Accepted(_) => Exit::Done,
         Outcome::Refused { .. } => Exit::Refused,
     })
+}
+
+/// The cloud without points that are not finite, and how many those were.
+fn read_finite(path: &Path) -> anyhow::Result<(Cloud, usize)> {
+    let cloud = files::read_cloud(path)?;
+    let is_finite = |point: &Vector3<f64>| point.iter().all(|value| value.is_finite());
+    let mut dropped = cloud
+        .points
+        .iter()
+        .enumerate()
+        .filter(|(_, point)| !is_finite(point))
+        .map(|(point_idx, _)| point_idx);
+    let first_idx = dropped.next();
+    let dropped_count = first_idx.map_or(0, |_| 1 + dropped.count());
+    if let Some(first_idx) = first_idx {
+        output::diagnose(&format!(
+            "warning: {dropped_count} of {} points are not finite and were left out, the first \
+             is point {first_idx}, counted from zero: {}",
+            cloud.points.len(),
+            path.display()
+        ));
+    }
+    Ok((cloud.into_cloud(), dropped_count))
 }
 
 /// Thins and shapes both clouds, at once if there are threads for it.
@@ -210,6 +242,7 @@ fn summarise(outcome: &Outcome, ms_preprocess: f64, ms_align: f64) -> RegisterSu
         rmse_m: quality.and_then(|quality| known(quality.rmse_m)),
         overlap: quality.and_then(|quality| known(quality.overlap_source)),
         iterations: quality.map(|quality| quality.iteration_count),
+        dropped_points: 0,
         ms_preprocess,
         ms_align,
         covariance: alignment.and_then(|alignment| covariance_rows(alignment)),

@@ -22,7 +22,8 @@ pub struct SlamArguments {
     /// The trajectory after all corrections (TUM: map_from_camera).
     #[arg(long)]
     pub out: PathBuf,
-    /// The map's points: PLY with descriptors, PCD or XYZ.
+    /// The map's points; the extension chooses the format: ply (with descriptors), pcd, xyz, csv
+    /// or txt.
     #[arg(long)]
     pub map: Option<PathBuf>,
     /// Half-open range of frame numbers.
@@ -31,10 +32,12 @@ pub struct SlamArguments {
     /// Pace by the stamps and drop late frames.
     #[arg(long)]
     pub realtime: bool,
-    /// With one thread the result is deterministic.
+    /// The estimator uses one thread; with more, the next images are decoded meanwhile. The
+    /// result does not depend on it.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: u16,
-    /// Print one JSON object.
+    /// Print one JSON object. Without a single tracked frame `tracked` is 0, the reason is on
+    /// stderr and the exit code is 1; with skipped images it is 3.
     #[arg(long)]
     pub json: bool,
 }
@@ -55,10 +58,14 @@ struct SlamSummary {
 }
 
 pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
-    let dataset = Dataset::open(&chosen_frames(arguments)?)?;
-    for path in std::iter::once(&arguments.out).chain(&arguments.map) {
-        files::create_folder_of(path)?;
+    let chosen = chosen_frames(arguments)?;
+    if let Some(path) = &arguments.map {
+        files::check_cloud_name(path).map_err(UsageError::because)?;
     }
+    for path in std::iter::once(&arguments.out).chain(&arguments.map) {
+        files::check_destination(path)?;
+    }
+    let dataset = Dataset::open(&chosen)?;
     let frame_count = dataset.frames().len();
     let vslam = Vslam::new(
         dataset.calibration().camera.clone(),
@@ -87,7 +94,7 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     } else {
         print_summary(&summary);
     }
-    Ok(drive.exit(frame_count))
+    Ok(drive.exit(frame_count, tracked))
 }
 
 /// The dataset with the range of either form; giving both is a contradiction.
@@ -125,6 +132,8 @@ struct Drive {
     dropped: usize,
     unreadable_count: usize,
     first_unreadable: Option<UnreadableImage>,
+    /// Of the newest frame without a pose.
+    untracked: Option<TrackingState>,
 }
 
 impl Drive {
@@ -138,6 +147,7 @@ impl Drive {
             dropped: 0,
             unreadable_count: 0,
             first_unreadable: None,
+            untracked: None,
         }
     }
 
@@ -175,6 +185,9 @@ impl Drive {
         self.processing.push(started.elapsed());
         self.tracked_live += usize::from(report.map_from_camera.is_some());
         self.lost += usize::from(matches!(report.state, TrackingState::Lost { .. }));
+        if report.map_from_camera.is_none() {
+            self.untracked = Some(report.state);
+        }
     }
 
     fn summarise(&self, frame_count: usize, tracked: usize) -> SlamSummary {
@@ -195,17 +208,29 @@ impl Drive {
         }
     }
 
-    /// Tells what was lost on the way.
-    fn exit(&self, frame_count: usize) -> Exit {
-        match &self.first_unreadable {
-            Some(first) => {
-                output::diagnose(&format!(
-                    "warning: skipped {} of {frame_count} images; the first: {first}",
-                    self.unreadable_count
-                ));
-                Exit::DoneWithLoss
-            }
-            None => Exit::Done,
+    /// Tells what was lost on the way. Without a single pose there is no trajectory, and the
+    /// command has failed.
+    fn exit(&self, frame_count: usize, tracked: usize) -> Exit {
+        if let Some(first) = &self.first_unreadable {
+            output::diagnose(&format!(
+                "warning: skipped {} of {frame_count} images; the first: {first}",
+                self.unreadable_count
+            ));
+        }
+        if tracked == 0 {
+            let reason = self.untracked.map_or_else(
+                || "no image came to be looked at".to_owned(),
+                |state| state.to_string(),
+            );
+            output::diagnose(&format!(
+                "error: none of {frame_count} frames was tracked; in the end: {reason}"
+            ));
+            return Exit::Refused;
+        }
+        if self.first_unreadable.is_some() {
+            Exit::DoneWithLoss
+        } else {
+            Exit::Done
         }
     }
 }

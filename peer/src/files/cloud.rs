@@ -57,6 +57,11 @@ impl CloudFormat {
     }
 }
 
+/// Whether the extension names a format that clouds are read and written in.
+pub fn check_cloud_name(path: &Path) -> Result<(), FileError> {
+    CloudFormat::of(path).map(drop)
+}
+
 /// Reads PLY, PCD, or text with one point a line. A file without a point is refused.
 pub fn read_cloud(path: &Path) -> Result<PointCloud, FileError> {
     let format = CloudFormat::of(path)?;

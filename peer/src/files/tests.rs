@@ -1,3 +1,5 @@
+use std::path::Path;
+
 use geometry::{Enu, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use registration::Descriptors;

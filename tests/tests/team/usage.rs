@@ -38,6 +38,41 @@ fn commands_end_with_the_codes_of_the_contract() {
         2,
         "not in the team",
     );
+    for (option, value) in [
+        ("--threads", "0"),
+        ("--fix-noise-m", "nan"),
+        ("--fix-noise-m", "-1"),
+        ("--fix-noise-m", "2000"),
+    ] {
+        let team = ["team", "--out", "o", "--anchor", "a", "--fixes", "f"];
+        check(&[&team[..], &[option, value]].concat(), 2, option);
+    }
+    check(
+        &["slam", "d", "--out", "o", "--threads", "0"],
+        2,
+        "--threads",
+    );
+    check(
+        &["config", "check"],
+        1,
+        "`starling config check` is not built yet",
+    );
+    check(
+        &["map", "get", "anchor/*/map?bbox=1"],
+        2,
+        "east_min,north_min",
+    );
+    check(
+        &["map", "get", "anchor/*/map", "--out", "x.las"],
+        1,
+        ".las is not built yet",
+    );
+    // A file stands where the folder should be; the vehicles are not looked at.
+    let file = file!().rsplit_once('/').unwrap().1;
+    let out = format!("{}/tests/team/{file}", env!("CARGO_MANIFEST_DIR"));
+    let team = ["team", "--anchor", "a", "--fixes", "f", "--out", &out];
+    check(&team, 1, "this is a file, expected a folder");
+    check(&["demo", "--headless", "--out", &out], 1, "this is a file");
     check(
         &["run", "--config", "no-such-file.toml"],
         1,

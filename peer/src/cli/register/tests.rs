@@ -100,6 +100,41 @@ fn a_refused_registration_says_why_and_fails() {
 }
 
 #[test]
+fn points_that_are_not_finite_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.xyz");
+    std::fs::write(&path, "1 2 3\n1 nan 3\n4 5 6\n7 8 inf\n").unwrap();
+    let (cloud, dropped_count) = read_finite(&path).unwrap();
+    assert_eq!((cloud.points().len(), dropped_count), (2, 2));
+}
+
+#[test]
+fn the_picture_is_checked_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |plot: &str| {
+        // There are no clouds: nothing but the picture's name can be looked at.
+        let arguments = RegisterArguments {
+            source: "none.ply".into(),
+            target: "none.ply".into(),
+            metric: MetricArgument::Point,
+            with_scale: false,
+            init: "identity".to_owned(),
+            voxel: None,
+            max_distance: None,
+            threads: 1,
+            plot: Some(folder.path().join(plot)),
+            json: true,
+        };
+        run(&arguments).unwrap_err()
+    };
+    let error = refused("p.jpg");
+    assert!(error.is::<UsageError>(), "{error}");
+    std::fs::create_dir(folder.path().join("p.svg")).unwrap();
+    let error = refused("p.svg").to_string();
+    assert!(error.starts_with("this is a folder"), "{error}");
+}
+
+#[test]
 fn summary_has_the_names_of_the_contract() {
     let outcome = Outcome::Refused {
         reason: registration::Refusal::Ambiguous,
@@ -115,6 +150,7 @@ fn summary_has_the_names_of_the_contract() {
         "rmse_m",
         "overlap",
         "iterations",
+        "dropped_points",
         "ms_preprocess",
         "ms_align",
         "covariance",

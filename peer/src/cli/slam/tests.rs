@@ -72,10 +72,10 @@ fn arguments(folder: &std::path::Path) -> SlamArguments {
 }
 
 #[test]
-fn a_recording_without_texture_ends_with_an_empty_trajectory() {
+fn a_recording_without_texture_fails_with_an_empty_trajectory() {
     let folder = tempfile::tempdir().unwrap();
     grey_recording(folder.path(), 5);
-    assert_eq!(run(&arguments(folder.path())).unwrap(), Exit::Done);
+    assert_eq!(run(&arguments(folder.path())).unwrap(), Exit::Refused);
     let text = std::fs::read_to_string(folder.path().join("out.tum")).unwrap();
     assert_eq!(text, "");
     assert!(folder.path().join("map.ply").is_file());
@@ -86,7 +86,34 @@ fn a_damaged_image_is_loss_and_not_failure() {
     let folder = tempfile::tempdir().unwrap();
     grey_recording(folder.path(), 5);
     std::fs::write(folder.path().join("2.png"), "no image").unwrap();
-    assert_eq!(run(&arguments(folder.path())).unwrap(), Exit::DoneWithLoss);
+    let dataset = Dataset::open(&arguments(folder.path()).dataset).unwrap();
+    let mut drive = Drive::new(vslam_of(32, 24), None);
+    drive.run_through(DatasetCamera::inline(dataset), &Progress::start("slam", 5));
+    assert_eq!((drive.unreadable_count, drive.processing.len()), (1, 4));
+    assert_eq!(drive.exit(5, 4), Exit::DoneWithLoss);
+    assert_eq!(drive.exit(5, 0), Exit::Refused);
+    let reason = drive.untracked.unwrap().to_string();
+    assert_eq!(reason, "starting: too few corners in the image");
+}
+
+#[test]
+fn where_results_go_is_checked_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    // There is no recording: nothing but the destinations can be looked at.
+    let refused = |out: &str, map: &str| {
+        let mut arguments = arguments(folder.path());
+        arguments.out = folder.path().join(out);
+        arguments.map = Some(folder.path().join(map));
+        run(&arguments).unwrap_err()
+    };
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    let error = refused("", "map.ply").to_string();
+    assert!(error.starts_with("this is a folder"), "{error}");
+    let error = refused("file/out.tum", "map.ply").to_string();
+    assert!(error.starts_with("this is a file"), "{error}");
+    let error = refused("out.tum", "map.las");
+    assert!(error.is::<UsageError>(), "{error}");
+    assert!(error.to_string().contains(".ply, .pcd, .xyz"), "{error}");
 }
 
 #[test]
@@ -95,7 +122,7 @@ fn frames_are_chosen_once() {
     grey_recording(folder.path(), 5);
     let mut arguments = arguments(folder.path());
     arguments.dataset.range = Some("0..2".parse().unwrap());
-    assert_eq!(run(&arguments).unwrap(), Exit::Done);
+    assert_eq!(run(&arguments).unwrap(), Exit::Refused);
     arguments.frames = Some("0..2".parse().unwrap());
     assert!(run(&arguments).unwrap_err().is::<UsageError>());
 }
