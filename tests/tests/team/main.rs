@@ -9,6 +9,7 @@
 
 mod clock;
 mod ending;
+mod inputs;
 mod joining;
 mod outage;
 mod processes;
