@@ -11,6 +11,8 @@ use std::path::{Path, PathBuf};
 use camera::{Calibration, CalibrationError, Image};
 use geometry::Timestamp;
 
+use crate::files::FileError;
+
 pub use argument::{DatasetArgument, FrameRange, MalformedRange};
 pub use calibration_file::CalibrationFile;
 pub use decode::{ImageError, decode_grey, image_size};
@@ -47,17 +49,9 @@ pub enum DatasetError {
     UnknownLayout { folder: PathBuf },
     #[error("{what} is not supported yet; export the images with an rgb.txt: {path}")]
     NotSupported { what: &'static str, path: PathBuf },
-    #[error("cannot read: {error}: {path}")]
-    Unreadable {
-        error: std::io::Error,
-        path: PathBuf,
-    },
-    #[error("{reason} at {path}:{line}")]
-    Line {
-        reason: String,
-        path: PathBuf,
-        line: usize,
-    },
+    /// A list or a calibration beside the images.
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("lists no images: {path}")]
     NoImages { path: PathBuf },
     #[error("frames {range} of a recording of {frame_count}: {folder}")]

@@ -350,7 +350,7 @@ fn judge(
         if let Err(error) = &score {
             losses.push(format!("{}: cannot be judged: {error:#}", summary.id));
         }
-        vehicles.push(VehicleReport::new(summary, score.ok().flatten().as_ref()));
+        vehicles.push(VehicleReport::new(summary, score.ok().flatten()));
     }
     Ok(DemoReport {
         ending,

@@ -7,6 +7,7 @@ mod trajectory_error;
 
 use geometry::{Enu, Map};
 use nalgebra::Matrix3;
+use serde::Serialize;
 
 use crate::files::StampedPose;
 
@@ -35,9 +36,10 @@ pub struct VehicleRecord<'a> {
 }
 
 /// The numbers of a vehicle in the command line's contract; `None` where there is no answer.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct VehicleScore {
-    /// Causal poses per frame given to the vehicle.
+    /// Causal poses per frame given to the vehicle, which also the vehicle itself can tell.
+    #[serde(skip)]
     pub global_share: Option<f64>,
     pub inside_3sigma_share: Option<f64>,
     pub nees_mean: Option<f64>,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use camera::Calibration;
 
 use super::DatasetError;
+use crate::files::FileError;
 
 /// What errors about the calibration name.
 #[derive(Clone, Debug)]
@@ -18,7 +19,7 @@ impl CalibrationFile {
     pub fn read(path: &Path) -> Result<Self, DatasetError> {
         let path = path.to_owned();
         match std::fs::read_to_string(&path) {
-            Err(error) => Err(DatasetError::Unreadable { error, path }),
+            Err(error) => Err(FileError::Read { error, path }.into()),
             Ok(text) => match Calibration::from_euroc_yaml(&text) {
                 Err(error) => Err(DatasetError::Calibration { error, path }),
                 Ok(calibration) => Ok(Self { calibration, path }),

@@ -7,7 +7,7 @@ use camera::{Calibration, CalibrationError, CameraModel, Distortion, Intrinsics}
 use geometry::Timestamp;
 
 use super::{CalibrationFile, DatasetError, FrameEntry};
-use crate::files::parse_seconds;
+use crate::files::{FileError, parse_seconds};
 
 /// How a recording's folder is arranged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,9 +114,9 @@ fn euroc_camera(folder: &Path) -> PathBuf {
 }
 
 fn read_text(path: &Path) -> Result<String, DatasetError> {
-    fs::read_to_string(path).map_err(|error| DatasetError::Unreadable {
-        error,
-        path: path.to_owned(),
+    fs::read_to_string(path).map_err(|error| {
+        let path = path.to_owned();
+        DatasetError::File(FileError::Read { error, path })
     })
 }
 
@@ -137,7 +137,7 @@ fn read_list(
             .and_then(|(captured_at, path)| {
                 check_increasing(previous, captured_at).map(|()| (captured_at, path))
             })
-            .map_err(|reason| DatasetError::Line {
+            .map_err(|reason| FileError::Line {
                 reason,
                 path: list.to_owned(),
                 line: line_idx + 1,
@@ -185,7 +185,7 @@ fn read_euroc_line(images: &Path, line: &str) -> Result<(Timestamp, PathBuf), St
 
 fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
     let images = folder.join("image_0");
-    let unreadable = |error| DatasetError::Unreadable {
+    let unreadable = |error| FileError::Read {
         error,
         path: images.clone(),
     };
@@ -201,7 +201,7 @@ fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
         Ok((captured_at, PathBuf::new()))
     })?;
     if frames.len() != paths.len() {
-        return Err(DatasetError::Line {
+        return Err(FileError::Line {
             reason: format!(
                 "{} time stamps for {} files in image_0",
                 frames.len(),
@@ -209,7 +209,8 @@ fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
             ),
             path: times,
             line: frames.len(),
-        });
+        }
+        .into());
     }
     for (frame, path) in frames.iter_mut().zip(paths) {
         frame.path = path;
@@ -223,7 +224,7 @@ fn read_kitti_calibration(
     (width, height): (usize, usize),
 ) -> Result<Calibration, DatasetError> {
     let text = read_text(path)?;
-    let refused = |reason: String, line| DatasetError::Line {
+    let refused = |reason: String, line| FileError::Line {
         reason,
         path: path.to_owned(),
         line,
@@ -239,7 +240,7 @@ fn read_kitti_calibration(
         .collect();
     let &[fx, _, cx, _, _, fy, cy, ..] = numbers.as_slice() else {
         let reason = format!("P0 has {} numbers, expected 12", numbers.len());
-        return Err(refused(reason, line_idx + 1));
+        return Err(refused(reason, line_idx + 1).into());
     };
     let intrinsics = Intrinsics { fx, fy, cx, cy };
     let camera =

@@ -3,36 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use nalgebra::Vector3;
-use registration::{Cloud, Descriptors};
-
-use super::{FileError, pcd, ply, xyz};
-
-/// Points with what a file says about each of them.
-#[derive(Clone, Debug, Default)]
-pub struct PointCloud {
-    pub points: Vec<Vector3<f64>>,
-    /// Red, green, blue: none, or one for each point.
-    pub colors: Option<Vec<[u8; 3]>>,
-    /// None, or one for each point.
-    pub descriptors: Descriptors,
-}
-
-impl PointCloud {
-    pub fn from_points(points: Vec<Vector3<f64>>) -> Self {
-        Self {
-            points,
-            colors: None,
-            descriptors: Descriptors::None,
-        }
-    }
-
-    /// What registration needs of it; points that are not finite are dropped.
-    pub fn into_cloud(self) -> Cloud {
-        Cloud::new(self.points, self.descriptors)
-            .expect("the readers give one descriptor for each point")
-    }
-}
+use super::error::{FileError, Refused};
+use super::point_cloud::PointCloud;
+use super::{pcd, ply, xyz};
 
 /// The formats by the extension of a file's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,37 +68,4 @@ pub fn write_cloud(path: &Path, cloud: &PointCloud) -> Result<(), FileError> {
         error,
         path: path.to_owned(),
     })
-}
-
-/// What is wrong with a file's content, and in which line, before the path is known.
-#[derive(Debug, PartialEq)]
-pub(super) struct Refused {
-    reason: String,
-    line: Option<usize>,
-}
-
-impl Refused {
-    pub fn whole(reason: impl Into<String>) -> Self {
-        Self {
-            reason: reason.into(),
-            line: None,
-        }
-    }
-
-    /// - `line`: counted from one.
-    pub fn at(line: usize, reason: impl Into<String>) -> Self {
-        Self {
-            reason: reason.into(),
-            line: Some(line),
-        }
-    }
-
-    fn into_error(self, path: &Path) -> FileError {
-        let path = path.to_owned();
-        let reason = self.reason;
-        match self.line {
-            Some(line) => FileError::Line { reason, path, line },
-            None => FileError::Content { reason, path },
-        }
-    }
 }

@@ -6,7 +6,8 @@ use std::path::Path;
 use geometry::Timestamp;
 use nalgebra::Matrix3;
 
-use super::{FileError, parse_seconds};
+use super::error::FileError;
+use super::stamp::parse_seconds;
 
 /// The first line: square metres, in the axes of the trajectory.
 pub const COVARIANCE_HEADER: &str = "timestamp,xx,xy,xz,yy,yz,zz";

@@ -3,7 +3,7 @@
 use std::fs::{self, OpenOptions};
 use std::path::Path;
 
-use super::FileError;
+use super::error::FileError;
 
 /// Makes sure that a file can be written, and makes its folder; a file that is there is kept.
 pub fn check_destination(path: &Path) -> Result<(), FileError> {

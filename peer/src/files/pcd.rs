@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::cloud::{PointCloud, Refused};
+use super::error::Refused;
+use super::point_cloud::PointCloud;
 
 /// One column group of the rows.
 struct Field {

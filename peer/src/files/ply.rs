@@ -11,7 +11,8 @@ use std::fmt::Write;
 use nalgebra::Vector3;
 use registration::Descriptors;
 
-use super::cloud::{PointCloud, Refused};
+use super::error::Refused;
+use super::point_cloud::PointCloud;
 use body::{Body, Row};
 use header::{Element, Header, PropertyKind};
 

@@ -7,7 +7,8 @@ use std::path::Path;
 use geometry::{Camera, Timestamp, Transform};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use super::{FileError, parse_seconds};
+use super::error::FileError;
+use super::stamp::parse_seconds;
 
 /// Where a camera was at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,8 @@ use std::fmt::Write;
 
 use nalgebra::Vector3;
 
-use super::cloud::{PointCloud, Refused};
+use super::error::Refused;
+use super::point_cloud::PointCloud;
 
 /// Reads numbers separated by blanks, commas or semicolons.
 ///

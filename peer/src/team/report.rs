@@ -18,7 +18,7 @@ pub struct VehicleReport {
     pub scale: Option<f64>,
     /// What only the truth can tell; absent without it.
     #[serde(flatten)]
-    pub score: Option<ScoreReport>,
+    pub score: Option<VehicleScore>,
     pub chunks_received: u64,
     pub bytes_received: u64,
     pub bytes_sent: u64,
@@ -33,18 +33,8 @@ pub struct VehicleReport {
     pub ms_per_frame_p50: Option<f64>,
 }
 
-#[derive(Clone, Debug, Serialize)]
-pub struct ScoreReport {
-    pub inside_3sigma_share: Option<f64>,
-    pub nees_mean: Option<f64>,
-    pub rmse_m: Option<f64>,
-    pub rmse_final_m: Option<f64>,
-    pub ratio: Option<f64>,
-    pub ratio_ideal: Option<f64>,
-}
-
 impl VehicleReport {
-    pub fn new(summary: &VehicleSummary, score: Option<&VehicleScore>) -> Self {
+    pub fn new(summary: &VehicleSummary, score: Option<VehicleScore>) -> Self {
         Self {
             id: summary.id.clone(),
             role: summary.role.clone(),
@@ -53,14 +43,7 @@ impl VehicleReport {
             global_share: summary.global_share,
             first_global_s: summary.first_global_s,
             scale: summary.scale,
-            score: score.map(|score| ScoreReport {
-                inside_3sigma_share: score.inside_3sigma_share,
-                nees_mean: score.nees_mean,
-                rmse_m: score.rmse_m,
-                rmse_final_m: score.rmse_final_m,
-                ratio: score.ratio,
-                ratio_ideal: score.ratio_ideal,
-            }),
+            score,
             chunks_received: summary.counters.chunks_received,
             bytes_received: summary.bytes_received,
             bytes_sent: summary.bytes_sent,

@@ -3,7 +3,7 @@
 use std::str::SplitWhitespace;
 
 use super::header::{Element, Encoding, Header, Scalar};
-use crate::files::cloud::Refused;
+use crate::files::error::Refused;
 
 /// The part of a file after its header.
 pub enum Body<'a> {

@@ -1,6 +1,6 @@
 //! The header: which elements follow, and how their properties are stored.
 
-use crate::files::cloud::Refused;
+use crate::files::error::Refused;
 
 /// How the rows after the header are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
