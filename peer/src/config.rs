@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use geodesy::Datum;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -257,6 +258,7 @@ impl PositionConfig {
         if self.file.is_some() == self.stream {
             return Err("[position] needs exactly one of file and stream".to_owned());
         }
+        Datum::site(&self.site).map_err(|error| format!("[position] site: {error}"))?;
         check_positive("[position] sigma_m", self.sigma_m, SIGMA_MAX_M)?;
         if !(0.0..=SIGMA_MAX_M).contains(&self.noise_m) {
             return Err(format!(

@@ -61,6 +61,10 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     let chosen = chosen_frames(arguments)?;
     if let Some(path) = &arguments.map {
         files::check_cloud_name(path).map_err(UsageError::because)?;
+        if *path == arguments.out {
+            let message = "--map and --out name the same file".to_owned();
+            return Err(UsageError(message).into());
+        }
     }
     for path in std::iter::once(&arguments.out).chain(&arguments.map) {
         files::check_destination(path)?;

@@ -77,6 +77,7 @@ fn refuses_numbers_out_of_range_naming_key_value_and_file() {
     position("lever_arm_m = [0, 80, 80]", "at most 100 m");
     position("noise_m = -1.0", "noise_m is -1, expected 0 to 1000");
     position("sigma_m = 1e4", "sigma_m is 10000");
+    position("site = ''", "[position] site: ");
     let estimation = |line: &str, expected: &str| {
         check(&format!("[estimation]\n{line}"), expected);
     };

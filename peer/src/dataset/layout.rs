@@ -114,9 +114,14 @@ fn euroc_camera(folder: &Path) -> PathBuf {
 }
 
 fn read_text(path: &Path) -> Result<String, DatasetError> {
-    fs::read_to_string(path).map_err(|error| {
+    let text = fs::read_to_string(path).map_err(|error| {
         let path = path.to_owned();
-        DatasetError::File(FileError::Read { error, path })
+        FileError::Read { error, path }
+    })?;
+    // Spreadsheets begin their files with a byte order mark.
+    Ok(match text.strip_prefix('\u{feff}') {
+        Some(text) => text.to_owned(),
+        None => text,
     })
 }
 

@@ -298,7 +298,7 @@ fn reads_euroc_and_kitti_folders() {
     write(
         euroc.path(),
         "mav0/cam0/data.csv",
-        "#timestamp [ns],filename\r\n1403636579763555584,1403636579763555584.png\r\n",
+        "\u{feff}#timestamp [ns],filename\r\n1403636579763555584,1403636579763555584.png\r\n",
     );
     write(
         euroc.path(),

@@ -55,7 +55,7 @@ impl VehicleSummary {
             (self.unwritten_count, "writes failed"),
         ];
         let counts = counts.iter().filter(|(count, _)| *count > 0);
-        let counts = counts.map(|(count, what)| format!("{count} {what}"));
+        let counts = counts.map(|(count, what)| format!("{what}: {count}"));
         let parts: Vec<String> = counts.chain(self.input_error.clone()).collect();
         (!parts.is_empty()).then(|| parts.join(", "))
     }

@@ -116,7 +116,7 @@ impl Vehicle {
                 self.tally.skip(what, count, &reason);
             }
             Input::BrokenOff { reason } => {
-                tracing::error!("{reason}");
+                // Whoever waits for the end says so, once.
                 self.tally.input_error = Some(reason);
             }
             Input::End => {}

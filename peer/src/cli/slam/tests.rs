@@ -111,6 +111,7 @@ fn where_results_go_is_checked_before_the_work() {
     assert!(error.starts_with("this is a folder"), "{error}");
     let error = refused("file/out.tum", "map.ply").to_string();
     assert!(error.starts_with("this is a file"), "{error}");
+    assert!(refused("map.ply", "map.ply").is::<UsageError>());
     let error = refused("out.tum", "map.las");
     assert!(error.is::<UsageError>(), "{error}");
     assert!(error.to_string().contains(".ply, .pcd, .xyz"), "{error}");
