@@ -38,9 +38,13 @@ impl UsageError {
     }
 }
 
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with loss, \
+    130 demo or team interrupted (run ends with 0 or 3). An interrupt, a termination or a hang-up \
+    ends demo, team and run in order, with all files written; a second one ends them at once.";
+
 /// A global pose for every vehicle of a team, when only some of them can see the sky.
 #[derive(Parser)]
-#[command(name = "starling", version, arg_required_else_help = true)]
+#[command(name = "starling", version, arg_required_else_help = true, after_help = EXIT_CODES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

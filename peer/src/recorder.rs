@@ -42,7 +42,7 @@ pub enum RecorderError {
         error: std::io::Error,
         path: PathBuf,
     },
-    #[error("cannot record: {error}: {path}")]
+    #[error("cannot record: {}: {path}", mcap_reason(error))]
     Write { error: McapError, path: PathBuf },
     #[error("cannot record on {topic}: {error}")]
     Json {
@@ -197,6 +197,14 @@ impl Recorder {
                 .add_schema(schema.name, "ros2msg", schema.definition.as_bytes())?;
         let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())]);
         self.writer.add_channel(schema_id, topic, "cdr", &metadata)
+    }
+}
+
+/// What failed, for a person: MCAP's words for an error of the disk do not say which.
+pub fn mcap_reason(error: &McapError) -> String {
+    match error {
+        McapError::Io(error) => error.to_string(),
+        other => other.to_string(),
     }
 }
 

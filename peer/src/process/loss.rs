@@ -11,12 +11,11 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// - `what`: begins a sentence that goes on with "is incomplete".
     pub fn note<E: Display>(&mut self, what: &'static str, written: Result<(), E>) {
         let Err(error) = written else { return };
         self.count();
         if self.named.insert(what) {
-            tracing::error!("{what} is incomplete, the flight goes on: {error:#}");
+            tracing::error!("{what}: {error:#}; the flight goes on, more is only counted");
         }
     }
 

@@ -14,6 +14,7 @@ use protocol::keys::Key;
 use protocol::{Chunk, Manifest, Placement, PlacementPage, decode, encode};
 
 use crate::node::Kept;
+use crate::recorder::mcap_reason;
 
 /// A segment is closed at this size, so that old ones can be dropped whole.
 const SEGMENT_SIZE_BYTES_MAX: u64 = 64 << 20;
@@ -26,7 +27,7 @@ pub enum StoreError {
         error: std::io::Error,
         path: PathBuf,
     },
-    #[error("store: {error}: {path}")]
+    #[error("store: {}: {path}", mcap_reason(error))]
     Mcap { error: McapError, path: PathBuf },
 }
 
@@ -244,7 +245,8 @@ fn read_segment(path: &Path, reloaded: &mut Vec<Reloaded>) -> Result<(), StoreEr
                 None => tracing::warn!(path = %path.display(), "a stored message is none"),
             },
             Err(error) => {
-                tracing::warn!(path = %path.display(), %error, "a segment of the store is torn");
+                let path = path.display();
+                tracing::warn!(%path, %error, "a segment of the store has no end; read up to there");
                 return Ok(());
             }
         }
