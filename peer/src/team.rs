@@ -311,7 +311,10 @@ impl Team {
                     let failure = self.crew.fail_by_silence(vehicle_idx, TICK_PATIENCE);
                     return Err(failure.into());
                 }
-            } else if done_at.get_or_insert_with(Instant::now).elapsed() > STALL_LIMIT {
+            } else if done_at.is_none() {
+                done_at = Some(Instant::now());
+                self.ask()?;
+            } else if done_at.is_some_and(|at| at.elapsed() > STALL_LIMIT) {
                 self.barrier.give_up();
                 break;
             }
@@ -323,17 +326,34 @@ impl Team {
         Ok(())
     }
 
+    /// Now that everybody is done, lets those ask who want something.
+    fn ask(&mut self) -> anyhow::Result<()> {
+        for vehicle_idx in self.barrier.askers() {
+            self.crew.order(vehicle_idx, &Order::Ask)?;
+        }
+        Ok(())
+    }
+
     fn note(&mut self, event: CrewEvent) -> anyhow::Result<()> {
         match event.report {
-            Report::TickDone { tick, sent } => {
-                self.barrier.take_done(event.vehicle_idx, tick, sent);
+            Report::TickDone {
+                tick,
+                sent,
+                open_request_count,
+            } => {
+                self.barrier
+                    .take_done(event.vehicle_idx, tick, sent, open_request_count);
             }
             Report::Heard {
                 heard,
                 open_request_count,
-            } => self
-                .barrier
-                .take_heard(event.vehicle_idx, &heard, open_request_count),
+                neighbour_count,
+            } => {
+                self.barrier
+                    .take_heard(event.vehicle_idx, &heard, open_request_count);
+                self.barrier
+                    .take_neighbours(event.vehicle_idx, neighbour_count);
+            }
             Report::Listening { .. } => {}
             Report::Finished { .. } => {
                 let id = self.barrier.id(event.vehicle_idx);

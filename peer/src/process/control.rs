@@ -23,6 +23,9 @@ pub enum Order {
         /// ones may have arrived already; they wait for the next tick.
         sent_before: BTreeMap<String, Counted>,
     },
+    /// Send the requests that the tick brought. Everybody is done with it, so that a holder
+    /// answers from the same holdings in every run.
+    Ask,
     /// Write the files and end.
     Finish,
 }
@@ -43,11 +46,14 @@ pub enum Report {
     TickDone {
         tick: u64,
         sent: Counted,
+        /// Requests that wait for [`Order::Ask`] or for their end.
+        open_request_count: usize,
     },
     /// The number of the newest message of each class, by sender.
     Heard {
         heard: BTreeMap<String, Counted>,
         open_request_count: usize,
+        neighbour_count: usize,
     },
     Finished {
         summary: Box<VehicleSummary>,

@@ -25,6 +25,7 @@ pub(super) fn run(
     arrivals: &Receiver<Arrival>,
     report: &mut dyn FnMut(&Report),
 ) {
+    vehicle.hold_requests();
     let mut waiting = Waiting::default();
     let mut pending: Option<Input> = None;
     while !interrupt::wished() {
@@ -88,9 +89,11 @@ fn obey(
             report(&Report::TickDone {
                 tick: *tick,
                 sent: vehicle.sent(),
+                open_request_count: vehicle.open_request_count(),
             });
             report(&waiting.heard(vehicle));
         }
+        Order::Ask => vehicle.ask(),
         Order::Finish => return false,
     }
     true
@@ -121,6 +124,7 @@ struct Waiting {
     events: Vec<LinkEvent>,
     heard: BTreeMap<String, Counted>,
     ended_request_count: usize,
+    neighbour_count: usize,
 }
 
 impl Waiting {
@@ -135,7 +139,11 @@ impl Waiting {
                 }
             }
             LinkEvent::RequestEnded { .. } => self.ended_request_count += 1,
-            _ => {}
+            LinkEvent::NeighbourCame { .. } => self.neighbour_count += 1,
+            LinkEvent::NeighbourLeft { .. } => {
+                self.neighbour_count = self.neighbour_count.saturating_sub(1);
+            }
+            LinkEvent::Reply { .. } => {}
         }
         self.events.push(event);
     }
@@ -145,6 +153,7 @@ impl Waiting {
         Report::Heard {
             heard: self.heard.clone(),
             open_request_count: open_request_count.saturating_sub(self.ended_request_count),
+            neighbour_count: self.neighbour_count,
         }
     }
 

@@ -12,7 +12,7 @@ use super::input::{Input, Skipped};
 use super::loss::Loss;
 use super::outputs::Outputs;
 use crate::config::VehicleConfig;
-use crate::link::{Class, Inbox, Link, LinkEvent};
+use crate::link::{Class, Inbox, Link, LinkEvent, RequestId};
 use crate::node::{Effect, Event, FramePose, Node};
 use crate::store::{Reloaded, Store};
 
@@ -28,6 +28,8 @@ pub struct Vehicle {
     tally: Tally,
     loss: Loss,
     now: Timestamp,
+    /// Requests that wait for a parent's word; without a parent's clock they do not wait.
+    held_requests: Option<Vec<(RequestId, String)>>,
 }
 
 /// What the summary is made of.
@@ -66,11 +68,23 @@ impl Vehicle {
             tally: Tally::default(),
             loss: Loss::default(),
             now: Timestamp::default(),
+            held_requests: None,
         })
     }
 
     pub fn endpoints(&self) -> Vec<String> {
         self.link.endpoints()
+    }
+
+    /// From now on requests wait for [`Self::ask`].
+    pub fn hold_requests(&mut self) {
+        self.held_requests.get_or_insert_default();
+    }
+
+    pub fn ask(&mut self) {
+        for (request, selector) in self.held_requests.iter_mut().flat_map(std::mem::take) {
+            self.link.request(request, &selector);
+        }
     }
 
     pub fn open_request_count(&self) -> usize {
@@ -169,7 +183,10 @@ impl Vehicle {
                     key,
                     payload,
                 } => self.link.publish(class, &key.to_string(), payload),
-                Effect::Request { request, selector } => self.link.request(request, &selector),
+                Effect::Request { request, selector } => match &mut self.held_requests {
+                    Some(held) => held.push((request, selector)),
+                    None => self.link.request(request, &selector),
+                },
                 Effect::Posed(pose) => {
                     self.tally.count_pose(&pose);
                     self.outputs

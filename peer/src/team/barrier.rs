@@ -13,6 +13,7 @@ pub struct Barrier {
     sent: Vec<Counted>,
     heard: Vec<BTreeMap<String, Counted>>,
     open_request_count: Vec<usize>,
+    neighbour_count: Vec<usize>,
     /// By sender and receiver.
     streams: BTreeMap<(usize, usize), Stream>,
     stalled: bool,
@@ -47,6 +48,7 @@ impl Barrier {
             sent: vec![[0, 0]; count],
             heard: vec![BTreeMap::new(); count],
             open_request_count: vec![0; count],
+            neighbour_count: vec![0; count],
             streams,
             stalled: false,
             ids,
@@ -63,8 +65,11 @@ impl Barrier {
         ids.zip(self.sent.iter().copied()).collect()
     }
 
+    /// Also that each has noticed its neighbours, which it would tell in a later tick otherwise.
     pub fn everybody_heard_everybody(&self) -> bool {
-        self.silent().next().is_none()
+        let others_count = self.ids.len() - 1;
+        let noticed = |count: &usize| *count >= others_count;
+        self.neighbour_count.iter().all(noticed) && self.silent().next().is_none()
     }
 
     /// Who has not heard whom, for an error.
@@ -80,7 +85,14 @@ impl Barrier {
         self.done.fill(false);
     }
 
-    pub fn take_done(&mut self, vehicle_idx: usize, tick: u64, sent: Counted) {
+    pub fn take_done(
+        &mut self,
+        vehicle_idx: usize,
+        tick: u64,
+        sent: Counted,
+        open_request_count: usize,
+    ) {
+        self.open_request_count[vehicle_idx] = open_request_count;
         self.sent[vehicle_idx] = sent;
         self.done[vehicle_idx] = tick == self.tick;
     }
@@ -93,6 +105,19 @@ impl Barrier {
     ) {
         self.heard[vehicle_idx].clone_from(heard);
         self.open_request_count[vehicle_idx] = open_request_count;
+    }
+
+    pub fn take_neighbours(&mut self, vehicle_idx: usize, neighbour_count: usize) {
+        self.neighbour_count[vehicle_idx] = neighbour_count;
+    }
+
+    /// Those with requests that have not ended.
+    pub fn askers(&self) -> Vec<usize> {
+        let counts = self.open_request_count.iter().enumerate();
+        counts
+            .filter(|(_, count)| **count > 0)
+            .map(|(idx, _)| idx)
+            .collect()
     }
 
     pub fn first_not_done(&self) -> Option<usize> {
@@ -198,13 +223,28 @@ mod tests {
         let mut barrier = Barrier::new(vec!["a".into(), "b".into()]);
         heard(&mut barrier, 0, "b", [0, 1]);
         heard(&mut barrier, 1, "a", [0, 1]);
+        barrier.take_neighbours(0, 1);
+        assert!(!barrier.everybody_heard_everybody(), "b's link came later");
+        barrier.take_neighbours(1, 1);
         assert!(barrier.everybody_heard_everybody());
         barrier.begin(1);
-        barrier.take_done(0, 1, [1, 1]);
+        barrier.take_done(0, 1, [1, 1], 0);
         assert!(!barrier.is_passed(), "b is not done");
-        barrier.take_done(1, 1, [0, 1]);
+        barrier.take_done(1, 1, [0, 1], 0);
         assert!(!barrier.is_passed(), "a's chunk is on its way");
         heard(&mut barrier, 1, "a", [1, 1]);
+        assert!(barrier.is_passed());
+    }
+
+    #[test]
+    fn a_tick_waits_for_the_answers_to_what_it_asked() {
+        let mut barrier = Barrier::new(vec!["a".into(), "b".into()]);
+        barrier.begin(1);
+        barrier.take_done(0, 1, [0, 0], 0);
+        barrier.take_done(1, 1, [0, 0], 2);
+        assert_eq!(barrier.askers(), [1]);
+        assert!(!barrier.is_passed());
+        barrier.take_heard(1, &BTreeMap::new(), 0);
         assert!(barrier.is_passed());
     }
 
@@ -220,8 +260,8 @@ mod tests {
         barrier.set_up(pair, false);
         let tick = |barrier: &mut Barrier, number: u64, sent: Counted| {
             barrier.begin(number);
-            barrier.take_done(0, number, sent);
-            barrier.take_done(1, number, [0, 1]);
+            barrier.take_done(0, number, sent, 0);
+            barrier.take_done(1, number, [0, 1], 0);
             barrier.is_passed()
         };
         assert!(

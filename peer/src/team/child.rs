@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -149,10 +149,8 @@ impl Crew {
     pub fn next_event(&mut self, until: Instant) -> anyhow::Result<Option<CrewEvent>> {
         loop {
             let left = until.saturating_duration_since(Instant::now());
-            let incoming = match self.incoming.recv_timeout(left.min(GLANCE)) {
-                Ok(incoming) => Some(incoming),
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
-            };
+            // This end keeps a sender, so that only time runs out.
+            let incoming = self.incoming.recv_timeout(left.min(GLANCE)).ok();
             if !self.is_ending && interrupt::wished() {
                 return Err(Interrupted.into());
             }
