@@ -135,6 +135,8 @@ struct Flight {
     ids: Vec<String>,
     outages: Vec<Outage>,
     frame_count: usize,
+    /// Whether there is a route that could be ended.
+    has_begun: bool,
     /// Once the route is over.
     report: Option<SimulatorReport>,
 }
@@ -152,6 +154,7 @@ impl Flight {
                 .collect(),
             outages: outages(plan.seed),
             frame_count: 0,
+            has_begun: false,
             report: None,
         }
     }
@@ -216,7 +219,8 @@ impl Flight {
                     self.report = Some(report);
                     return Ok(());
                 }
-                Some(SimulatorEvent::Listening { .. } | SimulatorEvent::Started) => {}
+                Some(SimulatorEvent::Started) => self.has_begun = true,
+                Some(SimulatorEvent::Listening { .. }) => {}
             }
             waited = Waited::from(Instant::now());
         }
@@ -268,10 +272,13 @@ impl Flight {
 
     /// Ends the route where it is, which ends the vehicles; those that do not see it are told.
     fn finish(&mut self) -> Vec<anyhow::Error> {
-        self.simulator.end_early();
         let started = 0..self.crew.started_count();
+        if !self.has_begun {
+            return self.crew.finish(started, PATIENCE);
+        }
+        self.simulator.end_early();
         let mut failures = Vec::new();
-        if self.report.is_none() && !self.simulator.is_lost() && !started.is_empty() {
+        if self.report.is_none() && !self.simulator.is_lost() {
             failures.extend(self.await_report().err());
         }
         failures.extend(self.crew.finish(started, PATIENCE));

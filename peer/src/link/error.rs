@@ -104,7 +104,7 @@ mod tests {
         let cases = [
             ("no answer at all", "no answer at all"),
             (
-                "cannot bind: [in use (os error 98) at /a/b-1.2/tcp.rs:61.] at io/x/unicast.rs:338.",
+                "cannot bind: [in use (os error 98) at /a/b-1.2/tcp.rs:61.] at io/x/uni.rs:338.",
                 "cannot bind: [in use (os error 98)]",
             ),
             (

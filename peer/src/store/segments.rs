@@ -246,7 +246,7 @@ fn read_segment(path: &Path, reloaded: &mut Vec<Reloaded>) -> Result<(), StoreEr
             },
             Err(error) => {
                 let path = path.display();
-                tracing::warn!(%path, %error, "a segment of the store has no end; read up to there");
+                tracing::warn!(%path, %error, "a segment of the store has no end; read up to it");
                 return Ok(());
             }
         }
