@@ -178,7 +178,8 @@ impl VehicleConfig {
             reason,
             path: path.to_owned(),
         };
-        let mut config: Self = toml::from_str(&text).map_err(|error| refused(error.to_string()))?;
+        let mut config: Self = toml::from_str(&text)
+            .map_err(|error| refused(error.to_string().trim_end().to_owned()))?;
         config.check().map_err(refused)?;
         config.resolve(path.parent().unwrap_or(Path::new("")));
         Ok(config)

@@ -62,6 +62,10 @@ fn refuses_numbers_out_of_range_naming_key_value_and_file() {
         let error = VehicleConfig::load(&path).unwrap_err().to_string();
         assert!(error.contains(expected), "{error:?} lacks {expected:?}");
         assert!(error.ends_with("vehicle.toml"), "{error:?}");
+        assert!(
+            !error.contains("\n:"),
+            "the path follows its reason: {error:?}"
+        );
     };
     let position = |line: &str, expected: &str| {
         check(&format!("[position]\nfile = 'f'\n{line}"), expected);
@@ -87,6 +91,7 @@ fn refuses_numbers_out_of_range_naming_key_value_and_file() {
     estimation("stale_after_s = inf", "stale_after_s is inf");
     estimation("stale_after_s = -2.0", "stale_after_s is -2");
     estimation("threads = 0", "threads is 0");
+    estimation("threads = -1", "expected usize");
     check("[zenoh]\nlisten = []", "listen is []");
 }
 

@@ -48,6 +48,21 @@ fn write_points(path: &Path, points: Vec<Vector3<f64>>) {
     files::write_cloud(path, &files::PointCloud::from_points(points)).unwrap();
 }
 
+fn arguments(source: impl Into<PathBuf>, target: impl Into<PathBuf>) -> RegisterArguments {
+    RegisterArguments {
+        source: source.into(),
+        target: target.into(),
+        metric: MetricArgument::Point,
+        with_scale: false,
+        init: "identity".to_owned(),
+        voxel: None,
+        max_distance: None,
+        threads: 1,
+        plot: None,
+        json: true,
+    }
+}
+
 #[test]
 fn a_moved_cloud_is_registered_and_drawn() {
     let folder = tempfile::tempdir().unwrap();
@@ -59,16 +74,10 @@ fn a_moved_cloud_is_registered_and_drawn() {
         corner().iter().map(|point| point + shift).collect(),
     );
     let arguments = RegisterArguments {
-        source,
-        target,
         metric: MetricArgument::Gicp,
-        with_scale: false,
-        init: "identity".to_owned(),
-        voxel: None,
-        max_distance: None,
         threads: 2,
         plot: Some(plot.clone()),
-        json: true,
+        ..arguments(source, target)
     };
     assert_eq!(run(&arguments).unwrap(), Exit::Done);
     assert!(
@@ -84,18 +93,7 @@ fn a_refused_registration_says_why_and_fails() {
     let [source, target] = ["s.xyz", "t.xyz"].map(|name| folder.path().join(name));
     write_points(&source, corner()[..2].to_vec());
     write_points(&target, corner());
-    let arguments = RegisterArguments {
-        source,
-        target,
-        metric: MetricArgument::Point,
-        with_scale: false,
-        init: "identity".to_owned(),
-        voxel: None,
-        max_distance: None,
-        threads: 1,
-        plot: None,
-        json: true,
-    };
+    let arguments = arguments(source, target);
     assert_eq!(run(&arguments).unwrap(), Exit::Refused);
 }
 
@@ -114,16 +112,8 @@ fn the_picture_is_checked_before_the_work() {
     let refused = |plot: &str| {
         // There are no clouds: nothing but the picture's name can be looked at.
         let arguments = RegisterArguments {
-            source: "none.ply".into(),
-            target: "none.ply".into(),
-            metric: MetricArgument::Point,
-            with_scale: false,
-            init: "identity".to_owned(),
-            voxel: None,
-            max_distance: None,
-            threads: 1,
             plot: Some(folder.path().join(plot)),
-            json: true,
+            ..arguments("none.ply", "none.ply")
         };
         run(&arguments).unwrap_err()
     };
