@@ -40,7 +40,7 @@ impl UsageError {
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with loss, \
     130 demo or team interrupted (run ends with 0 or 3). An interrupt, a termination or a hang-up \
-    ends demo, team and run in order, with all files written; a second one ends them at once.";
+    ends demo, team and run in order, with all files written; one more ends them at once.";
 
 /// A global pose for every vehicle of a team, when only some of them can see the sky.
 #[derive(Parser)]

@@ -14,7 +14,7 @@ use crate::config::{CameraConfig, EstimationConfig, PositionConfig, VehicleConfi
 use crate::files::create_folder;
 use crate::process::VehicleSummary;
 use crate::process::control::Report;
-use crate::process::interrupt;
+use crate::process::interrupt::{self, Interrupted};
 use crate::team::{Crew, Ending, Links, Outage, Supervised, VehicleReport, Waited, loopback};
 pub use calibration::sensor_yaml;
 use simulator::{Simulator, SimulatorEvent, SimulatorReport, VehicleTruth};
@@ -216,14 +216,27 @@ impl Flight {
                     return Err(self.crew.fail(&id, &reason)).with_context(context);
                 }
                 Some(SimulatorEvent::Finished { report }) => {
+                    let flown_count = report.frame_count;
                     self.report = Some(report);
-                    return Ok(());
+                    return self.check_whole(flown_count);
                 }
                 Some(SimulatorEvent::Started) => self.has_begun = true,
                 Some(SimulatorEvent::Listening { .. }) => {}
             }
             waited = Waited::from(Instant::now());
         }
+    }
+
+    /// A signal to all of a group ends the route before this process looks at its own.
+    fn check_whole(&self, flown_count: usize) -> anyhow::Result<()> {
+        if interrupt::wished() {
+            return Err(Interrupted.into());
+        }
+        if flown_count < self.frame_count {
+            let planned_count = self.frame_count;
+            bail!("the simulator ended after {flown_count} of {planned_count} frames");
+        }
+        Ok(())
     }
 
     fn cut_and_heal(&mut self, simulated_s: f64, observe: &mut dyn FnMut(Progress<'_>)) {

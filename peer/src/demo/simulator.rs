@@ -42,6 +42,7 @@ pub struct VehicleAddress {
 
 #[derive(Clone, Debug, Deserialize)]
 pub struct SimulatorReport {
+    pub frame_count: usize,
     pub realtime_factor: Option<f64>,
     pub vehicles: Vec<VehicleTruth>,
 }

@@ -1,6 +1,7 @@
 //! Signals as a wish to end, so that what is only known at the end is still written.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 static WISHED: AtomicBool = AtomicBool::new(false);
 
@@ -9,15 +10,18 @@ static WISHED: AtomicBool = AtomicBool::new(false);
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// From now on the first interrupt, termination or hang-up is a wish; a second one of the same
-/// kind ends the process.
+/// Signals so soon after the first are the same wish: `timeout` sends two at once.
+const SAME_WISH: Duration = Duration::from_secs(1);
+
+/// From now on an interrupt, a termination or a hang-up is a wish; one more, a second later or
+/// after that, ends the process.
 pub fn listen() {
-    signals::wish_on(signals::INTERRUPT);
-    signals::wish_on(signals::TERMINATE);
+    let mut numbers = vec![signals::INTERRUPT, signals::TERMINATE];
     // Whoever started this with `nohup` wants it to stay.
     if !signals::is_ignored(signals::HANG_UP) {
-        signals::wish_on(signals::HANG_UP);
+        numbers.push(signals::HANG_UP);
     }
+    wish_on(numbers);
 }
 
 /// For a child: Ctrl-C and the end of the terminal reach its parent too, which ends it in order.
@@ -25,7 +29,22 @@ pub fn listen() {
 pub fn leave_to_parent() {
     signals::ignore(signals::INTERRUPT);
     signals::ignore(signals::HANG_UP);
-    signals::wish_on(signals::TERMINATE);
+    wish_on(vec![signals::TERMINATE]);
+}
+
+fn wish_on(numbers: Vec<i32>) {
+    for number in &numbers {
+        signals::wish_on(*number);
+    }
+    std::thread::spawn(move || {
+        while !wished() {
+            std::thread::sleep(SAME_WISH / 10);
+        }
+        std::thread::sleep(SAME_WISH);
+        for number in numbers {
+            signals::restore(number);
+        }
+    });
 }
 
 /// Wishes for the end.
@@ -56,22 +75,25 @@ mod signals {
         fn signal(number: i32, action: usize) -> usize;
     }
 
-    extern "C" fn wish(number: i32) {
+    extern "C" fn wish(_number: i32) {
         super::wish();
-        // SAFETY: POSIX allows `signal` in a handler.
-        unsafe { signal(number, DEFAULT_ACTION) };
     }
 
     pub fn wish_on(number: i32) {
         let handler: extern "C" fn(i32) = wish;
         // SAFETY: the handler has C's signature for one, and does only what POSIX allows in it:
-        // it stores to a lock-free atomic and calls `signal`.
+        // it stores to a lock-free atomic.
         unsafe { signal(number, handler as usize) };
     }
 
     pub fn ignore(number: i32) {
         // SAFETY: to ignore a signal runs no code of ours.
         unsafe { signal(number, IGNORE) };
+    }
+
+    pub fn restore(number: i32) {
+        // SAFETY: the default action runs no code of ours.
+        unsafe { signal(number, DEFAULT_ACTION) };
     }
 
     /// Asked by ignoring it for a moment, in which nothing has been started yet.
@@ -94,6 +116,8 @@ mod signals {
     pub fn wish_on(_number: i32) {}
 
     pub fn ignore(_number: i32) {}
+
+    pub fn restore(_number: i32) {}
 
     pub fn is_ignored(_number: i32) -> bool {
         false

@@ -104,10 +104,12 @@ fn check_ended_in_order(folder: &Path, id: &str) {
 fn an_interrupted_team_ends_in_order_and_says_so() {
     let folder = TempDir::new().unwrap();
     let team = team(folder.path());
-    // A terminal interrupts them all.
+    // A terminal interrupts them all, and others who end a group of processes say it twice.
     for id in ["anchor1", "peer1"] {
         send("-INT", process_of(&team, id));
     }
+    send("-TERM", team.id());
+    send("-INT", team.id());
     send("-INT", team.id());
     let (code, diagnostics, json) = end(team);
     assert_eq!(code, Some(130), "{diagnostics}");
