@@ -148,12 +148,13 @@ impl Crew {
     /// having finished is an error, and so is somebody's wish for the end.
     pub fn next_event(&mut self, until: Instant) -> anyhow::Result<Option<CrewEvent>> {
         loop {
-            let left = until.saturating_duration_since(Instant::now());
-            // This end keeps a sender, so that only time runs out.
-            let incoming = self.incoming.recv_timeout(left.min(GLANCE)).ok();
+            // Before anything is taken from the queue, which would be lost.
             if !self.is_ending && interrupt::wished() {
                 return Err(Interrupted.into());
             }
+            let left = until.saturating_duration_since(Instant::now());
+            // This end keeps a sender, so that only time runs out.
+            let incoming = self.incoming.recv_timeout(left.min(GLANCE)).ok();
             let Some(incoming) = incoming else {
                 if Instant::now() >= until {
                     return Ok(None);
