@@ -30,6 +30,10 @@ use publisher::Publisher;
 /// How long a request waits for its holder.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(3);
 
+/// What of zenoh's own log is worth reading. While a link heals, its session calls what arrives
+/// before its key an error; beacons make up for it.
+pub const LOG_LEVELS: &str = "zenoh=error,zenoh::api::session=off";
+
 /// What a vehicle subscribes to.
 pub const SUBSCRIPTIONS: [&str; 5] = [
     "anchor/*/map",

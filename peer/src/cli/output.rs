@@ -32,14 +32,11 @@ pub fn diagnose(line: &str) {
     eprintln!("{line}");
 }
 
-/// While a link heals, zenoh's session calls what arrives before its key an error; beacons make
-/// up for it.
-const DEFAULT_LOG: &str = "warn,zenoh=error,zenoh::api::session=off";
-
 /// Sends log lines to stderr; `RUST_LOG` chooses which, warnings of this project by default.
 pub fn start_log() {
+    let default = format!("warn,{}", crate::link::LOG_LEVELS);
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(DEFAULT_LOG));
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default));
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(wants_color(
