@@ -7,6 +7,7 @@ mod anchor_role;
 mod exchange;
 mod frame;
 mod peer_role;
+mod places;
 mod receive;
 mod shelf;
 mod status;
@@ -29,6 +30,7 @@ use crate::store::Reloaded;
 use anchor_role::{AnchorRole, Outlet};
 use exchange::Exchange;
 use peer_role::PeerRole;
+use places::Places;
 use shelf::Shelf;
 
 pub use status::Status;
@@ -314,16 +316,22 @@ impl Node {
         }
     }
 
-    /// Every frame of the own map that can be placed, after all corrections.
+    /// Every frame of the own map that can be placed as well as `Global` asks for, after all
+    /// corrections.
     pub fn corrected_trajectory(&self) -> Vec<StampedPose<Enu>> {
+        let places = self.places();
+        let sigma_max_m = self.global_sigma_m();
         let map_id = self.slam.map().id();
         let entries = self.slam.trajectory().into_iter();
         let placed = entries.filter_map(|entry| {
             let map_from_camera = entry.map_from_camera.filter(|_| entry.map_id == map_id)?;
-            let enu_from_map = self.enu_from_map_at(entry.captured_at)?;
             Some(StampedPose {
                 captured_at: entry.captured_at,
-                target_from_camera: enu_from_map.transform_pose(&map_from_camera),
+                target_from_camera: places.pose(
+                    entry.captured_at,
+                    &map_from_camera,
+                    sigma_max_m,
+                )?,
             })
         });
         placed.collect()
@@ -331,19 +339,30 @@ impl Node {
 
     /// The points of the own map in the global frame, after all corrections.
     pub fn points_in_enu(&self) -> Vec<Vector3<f64>> {
+        let places = self.places();
         let map = self.slam.map();
         let placed = map.points().filter_map(|point| {
             let keyframe = map.keyframe(point.views().first()?.keyframe)?;
-            let enu_from_map = self.enu_from_map_at(keyframe.captured_at())?;
-            Some(enu_from_map * *point.position_in_map())
+            places.point(keyframe.captured_at(), point.position_in_map())
         });
         placed.collect()
     }
 
-    fn enu_from_map_at(&self, captured_at: Timestamp) -> Option<Similarity<Enu, Map>> {
+    /// The position's sigma up to which a pose is `Global`.
+    fn global_sigma_m(&self) -> f64 {
+        let fix_sigma_m = match &self.role {
+            Role::Anchor(role) => role.fix_sigma_m(),
+            Role::Peer(role) => role.fix_sigma_m(),
+        };
+        let default_sigma_m = (2.0 * fix_sigma_m.unwrap_or(0.0)).max(0.5);
+        self.settings.global_sigma_m.unwrap_or(default_sigma_m)
+    }
+
+    fn places(&self) -> Places {
+        let map = self.slam.map();
         match &self.role {
-            Role::Anchor(role) => role.enu_from_map_at(captured_at, self.slam.map()),
-            Role::Peer(role) => role.enu_from_map_at(captured_at),
+            Role::Anchor(role) => role.places(map),
+            Role::Peer(role) => role.places(map),
         }
     }
 

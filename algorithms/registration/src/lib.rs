@@ -10,8 +10,8 @@ pub mod search;
 
 pub use cloud::{Cloud, Descriptors, ShapedCloud};
 pub use localizer::{
-    AlignmentReport, AnchorIdx, ChunkIdx, Estimate, KeyframeIdx, KeyframeObservation, Landmark,
-    Localizer, LocalizerSettings, ObservedFeature, ObservedPoint,
+    AlignmentReport, AnchorIdx, ChunkIdx, CorrectedKeyframe, Estimate, KeyframeIdx,
+    KeyframeObservation, Landmark, Localizer, LocalizerSettings, ObservedFeature, ObservedPoint,
 };
 pub use register::{
     Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target, align,

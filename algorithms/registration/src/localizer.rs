@@ -7,6 +7,7 @@
 
 mod estimate;
 mod fusion;
+mod history;
 mod landmarks;
 mod locate;
 mod matching;
@@ -15,7 +16,7 @@ mod tests;
 mod track;
 mod types;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use geometry::{Camera, Chunk, Enu, Map, Matrix7, Similarity, Timestamp, Transform};
 use nalgebra::Vector3;
@@ -29,6 +30,7 @@ use matching::FeatureIndex;
 use track::{Admission, Entry, Track};
 
 pub use estimate::Estimate;
+pub use history::{CorrectedKeyframe, KeyframePoses};
 pub use types::{
     AlignmentReport, AnchorIdx, AnchorReport, ChunkIdx, ChunkIntake, DriftRates, ErrorFloor,
     KeyframeIdx, KeyframeObservation, Landmark, LocalizerSettings, ObservedFeature, ObservedPoint,
@@ -53,6 +55,8 @@ pub struct Localizer {
     fused: Option<Fused>,
     /// The newest own keyframe.
     newest: Option<(KeyframeIdx, Transform<Map, Camera>)>,
+    /// Keyframes from before the first alignment, to be located after all.
+    early: VecDeque<KeyframeObservation>,
     accepted_count: u64,
     jump_count: u64,
     refused_input_count: u64,
@@ -74,6 +78,7 @@ impl Localizer {
             anchors: BTreeMap::new(),
             fused: None,
             newest: None,
+            early: VecDeque::new(),
             accepted_count: 0,
             jump_count: 0,
             refused_input_count: 0,
@@ -209,6 +214,9 @@ impl Localizer {
                 inlier_count: effort.inlier_count,
             });
         }
+        if self.fused.is_none() {
+            self.remember_early(keyframe);
+        }
         let verdict = best_verdict(&reports);
         self.accepted_count += u64::from(verdict == Verdict::Accepted);
         AlignmentReport {
@@ -269,6 +277,7 @@ impl Localizer {
         }
         self.fused = None;
         self.newest = None;
+        self.early.clear();
         self.accepted_count = 0;
     }
 

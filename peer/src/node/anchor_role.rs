@@ -7,7 +7,7 @@ use anchor::{
     Anchor, AnchorSettings, Effect as AnchorEffect, Event as AnchorEvent, FrameInput,
     KeyframeInput, KeyframePose, PositionFix, keyframe_poses,
 };
-use geometry::{Enu, Map, Similarity, Timestamp};
+use geometry::{Enu, Map, Matrix7, Similarity, Timestamp};
 use protocol::keys::Key;
 use protocol::sync::SyncEvent;
 use protocol::{Epoch, MapId, VehicleState, encode};
@@ -15,6 +15,7 @@ use vslam::{FrameReport, KeyframeId, VslamMap};
 
 use super::exchange::Exchange;
 use super::frame::{TiedPose, pose_covariance, worst_sigma_m};
+use super::places::{Place, Places};
 use super::shelf::Shelf;
 use super::status::{KnownTie, Tie};
 use super::{Effect, Kept, NodeCounters, PositionSource};
@@ -90,7 +91,6 @@ impl AnchorRole {
 
     /// What the own pose is and rests on.
     pub fn tie(&self, report: &FrameReport, now: Timestamp) -> TiedPose {
-        let fix_sigma_m = self.anchor.georeference().map(|known| known.fix_sigma_m);
         let datum = self.anchor.datum().cloned();
         let (state, reason) = self.anchor.state();
         let (Some(known), Some((enu_from_map, covariance))) =
@@ -102,7 +102,6 @@ impl AnchorRole {
                 },
                 pose: None,
                 datum,
-                fix_sigma_m,
                 jump_count: 0,
             };
         };
@@ -123,9 +122,13 @@ impl AnchorRole {
             tie,
             pose,
             datum,
-            fix_sigma_m,
             jump_count: 0,
         }
+    }
+
+    /// The typical standard deviation of a fix (m).
+    pub fn fix_sigma_m(&self) -> Option<f64> {
+        Some(self.anchor.georeference()?.fix_sigma_m)
     }
 
     /// The one similarity that fits the whole map best.
@@ -133,19 +136,24 @@ impl AnchorRole {
         Some(self.anchor.georeference()?.enu_from_map)
     }
 
-    /// What is known afterwards of where the map stood around a moment.
-    pub fn enu_from_map_at(
-        &self,
-        captured_at: Timestamp,
-        map: &VslamMap,
-    ) -> Option<Similarity<Enu, Map>> {
-        let georeference = self.anchor.georeference()?;
-        let distance = |one: &&vslam::Keyframe| (one.captured_at() - captured_at).abs();
-        let placed = map.keyframes();
-        let placed = placed.filter(|one| georeference.keyframes.contains_key(&one.id()));
-        let nearest = placed.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
-        let near = georeference.enu_from_map_near(nearest.id(), &nearest.map_from_camera());
-        near.map(|(enu_from_map, _)| enu_from_map)
+    /// Where the map stood at each keyframe.
+    pub(super) fn places(&self, map: &VslamMap) -> Places {
+        let georeference = self.anchor.georeference();
+        let placed = georeference.into_iter().flat_map(|georeference| {
+            map.keyframes().filter_map(|keyframe| {
+                let pose = keyframe.map_from_camera();
+                let placed = georeference.keyframes.get(&keyframe.id())?;
+                Some(Place {
+                    captured_at: keyframe.captured_at(),
+                    map_from_camera: pose,
+                    enu_from_map: placed.enu_from_camera * pose.inverse(),
+                    covariance: placed.covariance,
+                    // Every keyframe since the first fix is placed.
+                    drift_per_way: Matrix7::zeros(),
+                })
+            })
+        });
+        Places::new(placed)
     }
 
     fn drive(

@@ -23,7 +23,6 @@ pub(super) struct TiedPose {
     pub tie: Tie,
     pub pose: Option<(Transform<Enu, Camera>, Matrix6<f64>)>,
     pub datum: Option<Datum>,
-    pub fix_sigma_m: Option<f64>,
     pub jump_count: u64,
 }
 
@@ -55,10 +54,9 @@ impl Node {
             }
         };
         self.counters.jumps = tied.jump_count;
-        let default_sigma_m = (2.0 * tied.fix_sigma_m.unwrap_or(0.0)).max(0.5);
         let limits = Limits {
             stale_after_s: self.settings.stale_after_s,
-            global_sigma_m: self.settings.global_sigma_m.unwrap_or(default_sigma_m),
+            global_sigma_m: self.global_sigma_m(),
         };
         self.status = Status::after(&report, &tied.tie, &limits, self.was_global);
         let is_global = self.status.state == VehicleState::Global;
@@ -141,7 +139,6 @@ fn tie_to_anchors(role: &PeerRole, report: &FrameReport, now: Timestamp) -> Tied
             },
             pose: None,
             datum: role.datum().cloned(),
-            fix_sigma_m: role.fix_sigma_m(),
             jump_count: 0,
         };
     };
@@ -168,7 +165,6 @@ fn tie_to_anchors(role: &PeerRole, report: &FrameReport, now: Timestamp) -> Tied
         tie,
         pose,
         datum: role.datum().cloned(),
-        fix_sigma_m: role.fix_sigma_m(),
         jump_count: estimate.jump_count,
     }
 }

@@ -1,7 +1,6 @@
 //! Without a position source: the own map is registered to what the anchors published.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 use features::Descriptor;
 use geodesy::{Datum, enu_from_enu};
@@ -15,6 +14,8 @@ use registration::{
 };
 use vslam::{FrameReport, Keyframe, KeyframeId, VslamMap};
 
+use super::places::{Place, Places};
+
 /// The incremental alignment of the own map to the anchors' maps, by their names on the wire.
 pub struct PeerRole {
     localizer: Localizer,
@@ -27,15 +28,7 @@ pub struct PeerRole {
     last_verdict: Option<Verdict>,
     datum_refusal: Option<String>,
     chunk_count: usize,
-    /// The estimate after each keyframe, for what is only known afterwards.
-    history: Vec<(Timestamp, Similarity<Enu, Map>)>,
 }
-
-/// An estimate rests on the keyframes of a window before it: seen from a frame, the one that is
-/// this much later has the frame in the middle of its window.
-const HINDSIGHT: Duration = Duration::from_secs(2);
-/// Keyframes that are remembered; further ones change nothing in the past.
-const HISTORY_COUNT_MAX: usize = 65_536;
 
 impl PeerRole {
     pub fn new(seed: u64) -> Self {
@@ -51,7 +44,6 @@ impl PeerRole {
             last_verdict: None,
             datum_refusal: None,
             chunk_count: 0,
-            history: Vec::new(),
         }
     }
 
@@ -116,25 +108,16 @@ impl PeerRole {
         if self.own_map.is_some_and(|known| known != report.map_id) {
             self.localizer.forget_map();
             self.last_verdict = None;
-            self.history.clear();
         }
         self.own_map = Some(report.map_id);
         let Some(keyframe) = report.new_keyframe.and_then(|id| map.keyframe(id)) else {
             return false;
         };
-        for known in map.keyframes() {
-            let pose = known.map_from_camera();
-            self.localizer
-                .keyframe_moved(keyframe_idx(known.id()), &pose);
-        }
+        let poses = map.keyframes();
+        let poses = poses.map(|known| (keyframe_idx(known.id()), known.map_from_camera()));
+        self.localizer.keyframes_moved(poses);
         let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));
         self.last_verdict = Some(alignment.verdict);
-        let captured_at = report.captured_at;
-        if let Some(enu_from_map) = self.enu_from_map(captured_at)
-            && self.history.len() < HISTORY_COUNT_MAX
-        {
-            self.history.push((captured_at, enu_from_map));
-        }
         alignment.jumped
     }
 
@@ -146,12 +129,18 @@ impl PeerRole {
         Some(self.localizer.estimate(now)?.enu_from_map)
     }
 
-    /// What is known afterwards of where the map stood around a moment.
-    pub fn enu_from_map_at(&self, captured_at: Timestamp) -> Option<Similarity<Enu, Map>> {
-        let wanted = captured_at.after(HINDSIGHT);
-        let later = self.history.partition_point(|(at, _)| *at < wanted);
-        let known = self.history.get(later).or(self.history.last());
-        known.map(|(_, enu_from_map)| *enu_from_map)
+    /// Where the own map stood at each keyframe that was located.
+    pub(super) fn places(&self, map: &VslamMap) -> Places {
+        let keyframes = map.keyframes();
+        let keyframes = keyframes.map(|one| (keyframe_idx(one.id()), one.map_from_camera()));
+        let corrected = self.localizer.corrected_keyframes(&keyframes.collect());
+        Places::new(corrected.into_iter().map(|one| Place {
+            captured_at: one.captured_at,
+            map_from_camera: one.map_from_camera,
+            enu_from_map: one.enu_from_map,
+            covariance: one.covariance,
+            drift_per_way: one.drift_per_way,
+        }))
     }
 
     pub fn datum(&self) -> Option<&Datum> {

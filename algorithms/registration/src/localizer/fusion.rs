@@ -140,7 +140,7 @@ fn outside_contains(outside: &[&Vote], vote: &Vote) -> bool {
 }
 
 /// The mean on Sim(3), each vote weighted by its information.
-fn weighted_mean(group: &[&Vote]) -> Option<(Similarity<Enu, Camera>, Matrix7)> {
+pub(super) fn weighted_mean(group: &[&Vote]) -> Option<(Similarity<Enu, Camera>, Matrix7)> {
     let mut mean = group.first()?.enu_from_camera;
     let mut covariance = group.first()?.covariance;
     if group.len() == 1 {

@@ -43,7 +43,7 @@ impl Scene {
         self.localizer.estimate(Timestamp::from_nanoseconds(0))
     }
 
-    /// Position error [m] and its squared norm against the stated covariance.
+    /// Position error (m) and its squared norm against the stated covariance.
     fn position_error(&self) -> Option<(f64, f64)> {
         let estimate = self.estimate()?;
         let map_from_camera = self.flyer.map_from_camera();
@@ -102,6 +102,60 @@ fn stated_uncertainty_is_honest() {
         "normalised squared error {mean}"
     );
 }
+
+/// Goal: what is known in the end is better than what was known then, also where nothing was: the
+/// first keyframes come before the anchor's chunks.
+#[test]
+fn hindsight_is_better_and_reaches_back_before_the_first_landmarks() {
+    let (mut then_sum, mut now_sum) = (0.0, 0.0);
+    for seed in 0..6 {
+        let mut scene = scene(40 + seed, 2.0);
+        let mut poses = KeyframePoses::new();
+        let mut truth = BTreeMap::new();
+        let mut errors_then = BTreeMap::new();
+        for step in 0..60 {
+            if step == EARLY_COUNT {
+                // What all keyframes share, hindsight cannot mend.
+                scene.publish(&AnchorSettings {
+                    georeference_sigma: [2e-4, 8e-4, 3e-4],
+                    ..AnchorSettings::default()
+                });
+            }
+            scene.step(step);
+            let newest = scene.localizer.newest.unwrap();
+            poses.insert(newest.0, newest.1);
+            truth.insert(newest.0, *scene.flyer.enu_from_camera.translation());
+            if let Some((error, _)) = scene.position_error() {
+                errors_then.insert(newest.0, error);
+            }
+        }
+        let corrected = scene.localizer.corrected_keyframes(&poses);
+        let before = scene.localizer.estimate(Timestamp::default()).unwrap();
+        let mut early_count = 0;
+        for one in &corrected {
+            let place = one.enu_from_map.transform_pose(&poses[&one.keyframe]);
+            let error = (place.translation() - truth[&one.keyframe]).norm();
+            match errors_then.get(&one.keyframe) {
+                Some(then) => {
+                    then_sum += then * then;
+                    now_sum += error * error;
+                }
+                None => {
+                    early_count += 1;
+                    assert!(error < 0.08, "{error}");
+                }
+            }
+        }
+        assert!(corrected.len() > 50 && early_count >= EARLY_COUNT - 1);
+        // Looking back changes nothing.
+        let after = scene.localizer.estimate(Timestamp::default()).unwrap();
+        assert_eq!(before.enu_from_map, after.enu_from_map);
+    }
+    println!("hindsight: {:.2} of the error", (now_sum / then_sum).sqrt());
+    assert!(now_sum < 0.8 * then_sum, "{now_sum} {then_sum}");
+}
+
+const EARLY_COUNT: usize = 8;
 
 fn honest(idx: u32) -> AnchorSettings {
     AnchorSettings {

@@ -173,6 +173,62 @@ fn updated<const ROWS: usize>(
     })
 }
 
+/// One step of the filter.
+pub(super) struct Step {
+    pub predicted: State,
+    pub updated: State,
+    /// Squared, per degree of freedom.
+    pub disagreement: f64,
+}
+
+impl Step {
+    /// `None` if the entry's chunk is no longer known.
+    pub fn new(
+        before: &State,
+        entry: &Entry,
+        anchor: &AnchorLandmarks,
+        settings: &LocalizerSettings,
+    ) -> Option<Self> {
+        let scale_guess = before.anchor_from_camera.scale();
+        let measurement = Measurement::new(entry, anchor, settings, scale_guess)?;
+        let travelled =
+            (entry.map_from_camera.translation() - before.map_from_camera.translation()).norm();
+        let mut predicted = before.predicted(&entry.map_from_camera, &settings.drift);
+        predicted.depth = measurement.depth;
+        let disagreement = measurement.disagreement(&predicted);
+        // Keyframes from nearly the same place see the same landmarks with the same errors: they
+        // count as one only after a way of `correlation_depths`.
+        let repeats = settings.correlation_depths * measurement.depth / travelled.max(1e-9);
+        let noise_factor = repeats.clamp(1.0, 30.0) * disagreement.max(1.0);
+        let updated = if measurement.scale_known {
+            updated::<7>(&predicted, &measurement, noise_factor)
+        } else {
+            updated::<6>(&predicted, &measurement, noise_factor)
+        };
+        Some(Self {
+            predicted,
+            updated: updated.unwrap_or(predicted),
+            disagreement,
+        })
+    }
+}
+
+/// The state after the first entry; `None` if it gives no scale, or its chunk is gone.
+pub(super) fn first_state(
+    entry: &Entry,
+    anchor: &AnchorLandmarks,
+    settings: &LocalizerSettings,
+) -> Option<State> {
+    let measurement = Measurement::new(entry, anchor, settings, 1.0)?;
+    measurement.scale_known.then_some(State {
+        anchor_from_camera: measurement.anchor_from_camera,
+        covariance: measurement.covariance,
+        map_from_camera: entry.map_from_camera,
+        depth: measurement.depth,
+        noise_factor: 1.0,
+    })
+}
+
 /// Runs the filter over the entries in order; `None` if none of them gives a scale.
 pub(super) fn filter<'a>(
     entries: impl Iterator<Item = &'a Entry>,
@@ -183,37 +239,16 @@ pub(super) fn filter<'a>(
     let mut disagreement_sum = 0.0;
     let mut disagreement_count = 0.0;
     for entry in entries {
-        let scale_guess = state.map_or(1.0, |state| state.anchor_from_camera.scale());
-        let Some(measurement) = Measurement::new(entry, anchor, settings, scale_guess) else {
+        let Some(before) = &state else {
+            state = first_state(entry, anchor, settings);
             continue;
         };
-        let Some(before) = state else {
-            state = measurement.scale_known.then_some(State {
-                anchor_from_camera: measurement.anchor_from_camera,
-                covariance: measurement.covariance,
-                map_from_camera: entry.map_from_camera,
-                depth: measurement.depth,
-                noise_factor: 1.0,
-            });
+        let Some(step) = Step::new(before, entry, anchor, settings) else {
             continue;
         };
-        let travelled =
-            (entry.map_from_camera.translation() - before.map_from_camera.translation()).norm();
-        let mut predicted = before.predicted(&entry.map_from_camera, &settings.drift);
-        predicted.depth = measurement.depth;
-        let disagreement = measurement.disagreement(&predicted);
-        disagreement_sum += disagreement.min(settings.disagreement_max);
+        disagreement_sum += step.disagreement.min(settings.disagreement_max);
         disagreement_count += 1.0;
-        // Keyframes from nearly the same place see the same landmarks with the same errors: they
-        // count as one only after a way of `correlation_depths`.
-        let repeats = settings.correlation_depths * measurement.depth / travelled.max(1e-9);
-        let noise_factor = repeats.clamp(1.0, 30.0) * disagreement.max(1.0);
-        let updated = if measurement.scale_known {
-            updated::<7>(&predicted, &measurement, noise_factor)
-        } else {
-            updated::<6>(&predicted, &measurement, noise_factor)
-        };
-        state = updated.or(Some(predicted));
+        state = Some(step.updated);
     }
     let mut state = state?;
     // A few pretended innovations of the expected size keep the factor calm at the start.
@@ -235,6 +270,8 @@ pub(super) enum Admission {
 #[derive(Default)]
 pub(super) struct Track {
     entries: VecDeque<Entry>,
+    /// Entries that left the window, for the trajectory after all corrections.
+    past: VecDeque<Entry>,
     waiting: VecDeque<Entry>,
     state: Option<State>,
     /// Keyframes in a row that were not located or did not agree.
@@ -243,6 +280,8 @@ pub(super) struct Track {
 
 /// Entries that wait at most; the oldest goes first.
 const WAITING_MAX: usize = 12;
+/// Entries that are remembered beyond the window: half an hour at one a second.
+const PAST_MAX: usize = 2000;
 
 impl Track {
     pub fn state(&self) -> Option<&State> {
@@ -254,6 +293,11 @@ impl Track {
         self.entries
             .iter()
             .any(|entry| entry.located.chunk == chunk)
+    }
+
+    /// All that agreed, the oldest first, as far as it is remembered.
+    pub fn history(&self) -> impl Iterator<Item = &Entry> {
+        self.past.iter().chain(&self.entries)
     }
 
     pub fn newest(&self) -> Option<&Entry> {
@@ -276,7 +320,10 @@ impl Track {
             if agrees {
                 self.entries.push_back(entry);
                 while self.entries.len() > settings.window_keyframe_count {
-                    self.entries.pop_front();
+                    self.past.extend(self.entries.pop_front());
+                }
+                while self.past.len() > PAST_MAX {
+                    self.past.pop_front();
                 }
                 self.waiting.clear();
                 self.miss_count = 0;
@@ -325,6 +372,7 @@ impl Track {
             return Admission::Waits;
         }
         self.entries = agreeing.into();
+        self.past.clear();
         self.waiting.clear();
         self.state = founded;
         self.miss_count = 0;

@@ -3,6 +3,8 @@
 //! The room is 8 m × 6 m × 3 m. Landmarks carry random descriptors of which every view changes
 //! some bits; maps have scale, depth noise and slow drift of their own.
 
+use std::ops::AddAssign;
+
 use features::Descriptor;
 use geometry::{Camera, Chunk, Enu, Map, Matrix7, Similarity, Tangent7, Timestamp, Transform};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector2, Vector3};
@@ -112,7 +114,7 @@ pub struct AnchorSettings {
     pub idx: AnchorIdx,
     /// Metres per unit of its map.
     pub unit_m: f64,
-    /// How far its map is bent [m].
+    /// How far its map is bent (m).
     pub bend_m: f64,
     /// Error of the georeference that its covariance does not tell of.
     pub lie: Vector3<f64>,
@@ -187,6 +189,8 @@ pub fn publish_anchor(
     );
 }
 
+const SCENE_DEPTH_M: f64 = 2.0;
+
 /// A vehicle without a position source; its map drifts.
 pub struct Flyer {
     /// Own map as it is now: turns and changes scale on the way.
@@ -225,9 +229,12 @@ impl Flyer {
         let travelled = (next.translation() - self.enu_from_camera.translation()).norm();
         self.enu_from_camera = next;
         if step > 0 {
-            // Drift acts at the camera: about 1 % of the way, and its share of the angle.
-            let root = (travelled / 2.0).sqrt() * self.drift_scale;
-            let drift = tangent(&mut self.rng, 0.002 * root, 0.006 * root, 0.005 * root);
+            // About 1 % of the way; the map turns about the scene ahead, not about the camera.
+            let root = (travelled / SCENE_DEPTH_M).sqrt() * self.drift_scale;
+            let mut drift = tangent(&mut self.rng, 0.005 * root, 0.006 * root, 0.005 * root);
+            let turn = drift.fixed_rows::<3>(0).into_owned();
+            let shift = -turn.cross(&(Vector3::z() * SCENE_DEPTH_M));
+            drift.fixed_rows_mut::<3>(3).add_assign(&shift);
             let at_camera = Similarity::from(next);
             let error = at_camera * Similarity::<Camera, Camera>::exp(&drift);
             self.map_from_enu = self.map_from_enu * error * at_camera.inverse();
