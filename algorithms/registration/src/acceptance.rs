@@ -1,9 +1,9 @@
 //! Whether an alignment is supported by the clouds, and in which directions it is not.
 
 use geometry::{Matrix7, Similarity};
-use nalgebra::{Matrix3, SMatrix, SymmetricEigen, Vector3};
+use nalgebra::{SMatrix, SymmetricEigen, Vector3};
 
-use crate::cloud::ShapedCloud;
+use crate::cloud::{ShapedCloud, to_single};
 use crate::icp::{Icp, find_pairs, information, overlaps};
 use crate::register::{Metric, Quality, Refusal, Source, Target};
 
@@ -14,6 +14,16 @@ const PARTNER_SPACINGS: f64 = 2.5;
 /// Root mean square distance from the surface, relative to how far partners are sought: a wrong
 /// alignment of dense clouds pairs points at random and comes near 0.6.
 const RESIDUAL_MAX: f64 = 0.35;
+/// Fewer pairs with two normals say nothing of how normals agree.
+const NORMAL_PAIR_COUNT_MIN: f64 = 20.0;
+/// Mean cosine between the normals of pairs. Chance gives 0.5, and 0.57 after the iteration has
+/// made the best of it; surfaces whose noise equals the spacing of their points still have 0.73.
+const NORMAL_AGREEMENT_MIN: f64 = 0.64;
+/// How far a shifted source is moved for comparison, in widths.
+const SHIFT_WIDTHS: f64 = 2.0;
+/// Below this contrast single points coincide, whatever their normals: noise against other noise
+/// comes to 0.3 and more.
+const CONTRAST_MAX_WITHOUT_NORMALS: f64 = 0.25;
 /// A direction with less information per pair than this, relative to a pair that fixes it fully,
 /// is not fixed. Normals that are wrong by three degrees pretend 0.003.
 const INFORMATION_MIN: f64 = 0.004;
@@ -38,19 +48,26 @@ pub(crate) fn measure(
     find_pairs(source, target, alignment, width, false, &mut pairs);
     let rotation = alignment.linear_matrix() / alignment.scale();
     let (mut squares, mut surface_squares) = (0.0, 0.0);
-    let mut surface_information = Matrix7::zeros();
+    let mut by_target = Matrix7::zeros();
+    let mut by_source = Matrix7::zeros();
+    let mut normals = NormalAgreement::default();
     for pair in &pairs {
         let point = source.points[pair.source_idx as usize];
         let residual = target.points[pair.target_idx as usize] - *alignment * point;
         let metric_information = information(source, target, pair, &rotation, metric);
         squares += residual.dot(&(metric_information * residual));
         let normal = target.shapes[pair.target_idx as usize].normal;
+        let own_normal = source.shapes[pair.source_idx as usize].normal;
         surface_squares += match normal {
             Some(normal) => residual.dot(&normal).powi(2),
             None => residual.norm_squared(),
         };
-        surface_information +=
-            surface(target, pair.target_idx, &rotation, &(point / source.radius));
+        let lever = point / source.radius;
+        by_target += surface(normal.map(|normal| rotation.transpose() * normal), &lever);
+        by_source += surface(own_normal, &lever);
+        if let (Some(normal), Some(own_normal)) = (normal, own_normal) {
+            normals.add(normal.dot(&(rotation * own_normal)));
+        }
     }
     let pair_count = pairs.len().max(1) as f64;
     Quality {
@@ -59,7 +76,13 @@ pub(crate) fn measure(
         overlap_source,
         overlap_target,
         iteration_count: icp.iteration_count,
-        weak_directions: weak_directions(&(surface_information / pair_count), with_scale),
+        normal_agreement: normals.mean(),
+        residual_contrast: contrast(source, target, alignment, width),
+        weak_directions: [by_target, by_source]
+            .map(|sum| weak_directions(&(sum / pair_count), with_scale))
+            .into_iter()
+            .max_by_key(Vec::len)
+            .unwrap_or_default(),
     }
 }
 
@@ -94,6 +117,14 @@ pub(crate) fn judge(
             rmse_m: quality.surface_rmse_m,
         });
     }
+    let normals_agree = quality
+        .normal_agreement
+        .is_some_and(|agreement| agreement > NORMAL_AGREEMENT_MIN);
+    if !normals_agree && quality.residual_contrast > CONTRAST_MAX_WITHOUT_NORMALS {
+        return Err(Refusal::SurfacesDisagree {
+            normal_agreement: quality.normal_agreement,
+        });
+    }
     if !quality.weak_directions.is_empty() {
         return Err(Refusal::WeakGeometry {
             directions: quality.weak_directions.clone(),
@@ -104,12 +135,9 @@ pub(crate) fn judge(
 
 /// The information of one pair when only the distance to the surface counts, with the rotation
 /// and the scale acting on the cloud's radius.
-fn surface(
-    target: &ShapedCloud,
-    target_idx: u32,
-    rotation: &Matrix3<f64>,
-    lever: &Vector3<f64>,
-) -> Matrix7 {
+///
+/// - `normal`: in the source's axes.
+fn surface(normal: Option<Vector3<f64>>, lever: &Vector3<f64>) -> Matrix7 {
     let column = |direction: Vector3<f64>| {
         let turn = lever.cross(&direction);
         let mut column = SMatrix::<f64, 7, 1>::zeros();
@@ -118,9 +146,9 @@ fn surface(
         column[6] = lever.dot(&direction);
         column
     };
-    match target.shapes[target_idx as usize].normal {
+    match normal {
         Some(normal) => {
-            let column = column(rotation.transpose() * normal);
+            let column = column(normal);
             column * column.transpose()
         }
         None => (0..3)
@@ -130,7 +158,61 @@ fn surface(
     }
 }
 
-/// The directions that the surfaces leave free, in words.
+/// How well the normals of pairs agree, where both have one.
+#[derive(Clone, Copy, Debug, Default)]
+struct NormalAgreement {
+    sum: f64,
+    count: f64,
+}
+
+impl NormalAgreement {
+    fn add(&mut self, cosine: f64) {
+        self.sum += cosine.abs();
+        self.count += 1.0;
+    }
+
+    /// `None` where hardly any pair has two normals.
+    fn mean(&self) -> Option<f64> {
+        (self.count >= NORMAL_PAIR_COUNT_MIN).then(|| self.sum / self.count)
+    }
+}
+
+/// How far the source is from the target, relative to how far it is when shifted by
+/// `SHIFT_WIDTHS` widths: near zero where the clouds fit, near one where any other place would do
+/// as well. Squared distances, capped at the width.
+fn contrast(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    target_from_source: &Similarity<Target, Source>,
+    width: f64,
+) -> f64 {
+    let distance = SHIFT_WIDTHS * width;
+    let shifted = (0..6).map(|idx| {
+        let shift = Vector3::ith(idx / 2, if idx % 2 == 0 { distance } else { -distance });
+        capped_squares(source, target, target_from_source, &shift, width)
+    });
+    let elsewhere = shifted.sum::<f64>() / 6.0;
+    capped_squares(source, target, target_from_source, &Vector3::zeros(), width) / elsewhere
+}
+
+/// Over the source points that have a partner as they are aligned.
+fn capped_squares(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    target_from_source: &Similarity<Target, Source>,
+    shift: &Vector3<f64>,
+    width: f64,
+) -> f64 {
+    let limit = (width * width) as f32;
+    let squares = source.points.iter().map(|point| {
+        let moved = *target_from_source * *point + shift;
+        let found = target.tree.nearest(to_single(&moved), limit);
+        f64::from(found.map_or(limit, |found| found.distance_squared))
+    });
+    squares.sum()
+}
+
+/// The directions that the surfaces of one cloud leave free, in words.
 fn weak_directions(information: &Matrix7, with_scale: bool) -> Vec<String> {
     let mut information = *information;
     if !with_scale {

@@ -98,6 +98,10 @@ pub struct Quality {
     /// The share of target points in the source's bounding box with a source point nearby.
     pub overlap_target: f64,
     pub iteration_count: usize,
+    /// Mean cosine between the normals of paired points; `None` where hardly any have two.
+    pub normal_agreement: Option<f64>,
+    /// How far the points are from their partners, relative to elsewhere nearby (squared).
+    pub residual_contrast: f64,
     /// Directions that the geometry does not fix, in words.
     pub weak_directions: Vec<String>,
 }
@@ -121,6 +125,9 @@ pub enum Refusal {
     },
     LargeResidual {
         rmse_m: f64,
+    },
+    SurfacesDisagree {
+        normal_agreement: Option<f64>,
     },
     ScaleOutOfBounds {
         scale: f64,
@@ -150,6 +157,14 @@ impl std::fmt::Display for Refusal {
                 f,
                 "residual of {rmse_m:.3} is more than the spacing of the points explains"
             ),
+            Self::SurfacesDisagree { normal_agreement } => match normal_agreement {
+                Some(agreement) => write!(
+                    f,
+                    "the shapes differ: normals of paired points agree to {agreement:.2}, \
+                     and chance alone gives 0.5"
+                ),
+                None => write!(f, "the shapes differ: no surface, and no point on another"),
+            },
             Self::ScaleOutOfBounds { scale } => write!(f, "scale {scale:.3} is out of bounds"),
         }
     }

@@ -244,6 +244,104 @@ fn unrelated_and_tiny_clouds_are_refused() {
     );
 }
 
+fn cloud_of(count: usize, mut point: impl FnMut() -> Vector3<f64>) -> Cloud {
+    Cloud::from_points((0..count).map(|_| point()).collect())
+}
+
+/// Goal: clouds of equal extent and wholly different shape are refused, whichever is moved.
+#[test]
+fn different_shapes_are_refused() {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut unit = || 2.0 * rng.random::<f64>() - 1.0;
+    let mut centred = || Vector3::from_fn(|_, _| unit());
+    // A sum of uniform draws is nearly normal.
+    let blob = |spread: f64, count, draw: &mut dyn FnMut() -> Vector3<f64>| {
+        cloud_of(count, || (draw() + draw() + draw()) * spread)
+    };
+    let grid = |step: f64| {
+        let count = (1.0 / step) as usize;
+        let mut idx = 0;
+        cloud_of(count * count, || {
+            idx += 1;
+            let (row, column) = ((idx - 1) / count, (idx - 1) % count);
+            Vector3::new(row as f64 * step - 0.5, column as f64 * step - 0.5, 0.0)
+        })
+    };
+    let on_sphere = cloud_of(2000, || centred().normalize() * 0.5);
+    let on_box = cloud_of(2000, || {
+        let point = centred();
+        point / point.amax() * 0.45
+    });
+    let noise: Vec<Cloud> = [1500, 1500, 5000]
+        .map(|count| cloud_of(count, &mut centred))
+        .into();
+    let (dense, sparse) = (blob(0.3, 8000, &mut centred), blob(0.3, 2000, &mut centred));
+    let pairs = [
+        ("grid, blob", grid(0.025), sparse.clone()),
+        ("coarse grid, blob", grid(0.05), dense.clone()),
+        ("sphere, box", on_sphere, on_box),
+        ("noise, noise", noise[0].clone(), noise[1].clone()),
+        ("noise, denser noise", noise[0].clone(), noise[2].clone()),
+        ("blob, blob", sparse, dense),
+    ];
+    for (name, first, second) in &pairs {
+        for (source, target) in [(first, second), (second, first)] {
+            for (metric, _) in METRICS {
+                for with_scale in [false, true] {
+                    let settings = RegisterSettings {
+                        metric,
+                        with_scale,
+                        ..RegisterSettings::default()
+                    };
+                    let outcome = register(source, target, &settings);
+                    let refused = matches!(outcome, Outcome::Refused { .. });
+                    assert!(refused, "{name}, {metric:?}: {outcome:?}");
+                }
+            }
+        }
+    }
+}
+
+/// Goal: what is true is accepted, however rough. Method: noise as large as the spacing of the
+/// points, a source that shows half of the target, few points, and a volume whose single points
+/// recur.
+#[test]
+fn rough_but_true_pairs_are_accepted() {
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    let mut rough = |points: Vec<Vector3<f64>>, noise_m: f64| -> Vec<Vector3<f64>> {
+        let mut noise = || noise_m * 1.7 * (2.0 * rng.random::<f64>() - 1.0);
+        points
+            .into_iter()
+            .map(|point| point + Vector3::new(noise(), noise(), noise()))
+            .collect()
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(13);
+    let truth = truth(0.03, 0.05, 1.0);
+    let mut half = corner(4000, &mut rng);
+    half.retain(|point| point.x < 1.6);
+    let fog: Vec<Vector3<f64>> = (0..2000)
+        .map(|_| Vector3::from_fn(|_, _| rng.random::<f64>()))
+        .collect();
+    let pairs = [
+        (rough(corner(3000, &mut rng), 0.045), corner(4000, &mut rng)),
+        (half, corner(4000, &mut rng)),
+        (corner(400, &mut rng), corner(500, &mut rng)),
+        (rough(fog[..1000].to_vec(), 0.005), fog),
+    ];
+    for (source, target) in pairs {
+        let source = moved(&source, &truth);
+        let target = Cloud::from_points(target);
+        for (metric, _) in METRICS {
+            let settings = RegisterSettings {
+                metric,
+                ..RegisterSettings::default()
+            };
+            let alignment = accepted(register(&source, &target, &settings));
+            assert_near(&alignment.target_from_source, &truth, 0.08);
+        }
+    }
+}
+
 /// Goal: a free scale does not shrink the cloud to fit better. Method: a source five times too
 /// large, which fits perfectly inside one target point when shrunken.
 #[test]
