@@ -9,11 +9,12 @@ pub(crate) use shape::{PLANE_THICKNESS, to_single};
 
 /// Points, and what is known about their appearance.
 ///
-/// Points that are not finite are dropped, with their descriptors.
+/// Points that are not finite, or absurdly far, are dropped with their descriptors, and counted.
 #[derive(Clone, Debug, Default)]
 pub struct Cloud {
     points: Vec<Vector3<f64>>,
     descriptors: Descriptors,
+    dropped_count: usize,
 }
 
 /// The appearance of each point of a [`Cloud`]: none, or one descriptor per point.
@@ -50,8 +51,10 @@ impl std::error::Error for DescriptorCountMismatch {}
 impl Cloud {
     /// A cloud without descriptors.
     pub fn from_points(mut points: Vec<Vector3<f64>>) -> Self {
+        let offered_count = points.len();
         points.retain(is_usable);
         Self {
+            dropped_count: offered_count - points.len(),
             points,
             descriptors: Descriptors::None,
         }
@@ -82,11 +85,17 @@ impl Cloud {
         Ok(Self {
             points: retained(points, &usable),
             descriptors,
+            dropped_count: usable.iter().filter(|usable| !**usable).count(),
         })
     }
 
     pub fn points(&self) -> &[Vector3<f64>] {
         &self.points
+    }
+
+    /// How many of the points that were given are not part of the cloud.
+    pub fn dropped_count(&self) -> usize {
+        self.dropped_count
     }
 
     pub fn descriptors(&self) -> &Descriptors {
@@ -108,4 +117,34 @@ fn is_usable(point: &Vector3<f64>) -> bool {
     point
         .iter()
         .all(|coordinate| coordinate.abs() < COORDINATE_LIMIT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_that_are_none_are_dropped_and_counted() {
+        let point = |x: f64| Vector3::new(x, 0.0, 0.0);
+        let points = vec![
+            point(f64::NAN),
+            point(1.0),
+            point(f64::INFINITY),
+            point(1e12),
+        ];
+        let cloud = Cloud::from_points(points.clone());
+        assert_eq!(
+            (cloud.points(), cloud.dropped_count()),
+            (&[point(1.0)][..], 3)
+        );
+        let histograms = (0..4).map(|idx| [idx; 128]).collect();
+        let cloud = Cloud::new(points, Descriptors::Histogram(histograms)).unwrap();
+        assert_eq!((cloud.points().len(), cloud.dropped_count()), (1, 3));
+        let Descriptors::Histogram(kept) = cloud.descriptors() else {
+            panic!("the descriptors stay");
+        };
+        assert_eq!(kept, &[[1; 128]]);
+        // Thinning merges points, but drops none.
+        assert_eq!(cloud.thinned(1.0).dropped_count(), 3);
+    }
 }

@@ -56,8 +56,17 @@ impl PeerRole {
             point_in_chunk: point.position_in_chunk,
             descriptor: Descriptor::from_bytes(point.descriptor),
         });
-        self.localizer
+        let intake = self
+            .localizer
             .insert_chunk(anchor, idx, landmarks.collect());
+        if intake.refused_count > 0 {
+            tracing::warn!(
+                "left out {} of {} points that cannot be: chunk {}",
+                intake.refused_count,
+                intake.refused_count + intake.accepted_count,
+                chunk.id(),
+            );
+        }
         self.chunk_count += 1;
         let placed = page
             .into_iter()

@@ -65,6 +65,7 @@ impl Cloud {
         Self {
             points: cubes.values().map(|(sum, count, _)| sum / *count).collect(),
             descriptors,
+            dropped_count: self.dropped_count,
         }
     }
 }
