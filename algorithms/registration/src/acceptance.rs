@@ -3,9 +3,9 @@
 use geometry::{Matrix7, Similarity};
 use nalgebra::{SMatrix, SymmetricEigen, Vector3};
 
+use crate::alignment::{Metric, Quality, Refusal, Source, Target};
 use crate::cloud::{ShapedCloud, to_single};
 use crate::icp::{Icp, find_pairs, information, overlaps};
-use crate::register::{Metric, Quality, Refusal, Source, Target};
 
 /// Of the larger and of the smaller of the two overlaps.
 const OVERLAP_MIN: (f64, f64) = (0.45, 0.25);

@@ -11,8 +11,8 @@ mod pairs;
 use geometry::{Matrix7, RobustKernel, Similarity, Tangent7};
 use nalgebra::Matrix6;
 
+use crate::alignment::{Metric, Source, Target};
 use crate::cloud::ShapedCloud;
-use crate::register::{Metric, Source, Target};
 
 pub(crate) use linearise::{NormalEquations, information};
 pub(crate) use pairs::{Pair, find_pairs, overlaps};

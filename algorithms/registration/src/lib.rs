@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod acceptance;
+mod alignment;
 pub mod cloud;
 mod icp;
 pub mod kd_tree;
@@ -8,12 +9,12 @@ pub mod localizer;
 pub mod register;
 pub mod search;
 
+pub use alignment::{
+    Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target,
+};
 pub use cloud::{Cloud, Descriptors, ShapedCloud};
 pub use localizer::{
     AlignmentReport, AnchorIdx, ChunkIdx, CorrectedKeyframe, Estimate, KeyframeIdx,
     KeyframeObservation, Landmark, Localizer, LocalizerSettings, ObservedFeature, ObservedPoint,
 };
-pub use register::{
-    Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target, align,
-    register,
-};
+pub use register::{align, register};

@@ -3,15 +3,16 @@
 mod consensus;
 mod correspondences;
 mod local_shape;
+mod mutual;
 
 use geometry::Similarity;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::acceptance::partner_distance;
+use crate::alignment::{Refusal, RegisterSettings, Source, Target};
 use crate::cloud::ShapedCloud;
 use crate::icp::overlaps;
-use crate::register::{Refusal, RegisterSettings, Source, Target};
 
 pub use consensus::{ConsensusSettings, Correspondence, Hypothesis, find_consensus};
 

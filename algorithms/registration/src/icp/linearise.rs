@@ -3,9 +3,9 @@
 use geometry::{Matrix7, RobustKernel, Similarity, Tangent7, so3};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-use super::Pair;
+use super::pairs::Pair;
+use crate::alignment::{Metric, Source, Target};
 use crate::cloud::ShapedCloud;
-use crate::register::{Metric, Source, Target};
 
 /// Sums over all pairs, each whitened by its metric and weighted by the kernel.
 #[derive(Clone, Debug, Default)]

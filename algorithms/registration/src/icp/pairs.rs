@@ -3,8 +3,8 @@
 use geometry::Similarity;
 use nalgebra::Vector3;
 
+use crate::alignment::{Source, Target};
 use crate::cloud::{ShapedCloud, to_single};
-use crate::register::{Source, Target};
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pair {

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use rand::Rng;
 use rand::seq::index::sample_array;
 
-use crate::register::{Source, Target};
+use crate::alignment::{Source, Target};
 
 /// A point of each cloud that may be the same.
 #[derive(Clone, Copy, Debug)]

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::consensus::Correspondence;
-use super::correspondences::mutual;
+use super::mutual::mutual;
 use crate::cloud::{ShapedCloud, to_single};
 
 const BIN_COUNT: usize = 11;
