@@ -6,11 +6,13 @@
 mod anchor_role;
 mod exchange;
 mod frame;
+mod outlet;
 mod peer_role;
 mod places;
 mod receive;
 mod shelf;
 mod status;
+mod tied_pose;
 
 use std::sync::Arc;
 
@@ -27,8 +29,9 @@ use vslam::{Vslam, VslamSettings};
 use crate::files::StampedPose;
 use crate::link::{Class, RequestId};
 use crate::store::Reloaded;
-use anchor_role::{AnchorRole, Outlet};
+use anchor_role::AnchorRole;
 use exchange::Exchange;
+use outlet::Outlet;
 use peer_role::PeerRole;
 use places::Places;
 use shelf::Shelf;

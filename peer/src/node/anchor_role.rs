@@ -1,25 +1,20 @@
 //! With a position source: the own map is tied to the Earth and shared with the team.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 use anchor::{
     Anchor, AnchorSettings, Effect as AnchorEffect, Event as AnchorEvent, FrameInput,
     KeyframeInput, KeyframePose, PositionFix, keyframe_poses,
 };
 use geometry::{Enu, Map, Matrix7, Similarity, Timestamp};
-use protocol::keys::Key;
-use protocol::sync::SyncEvent;
-use protocol::{Epoch, MapId, VehicleState, encode};
+use protocol::{Epoch, VehicleState};
 use vslam::{FrameReport, KeyframeId, VslamMap};
 
-use super::exchange::Exchange;
-use super::frame::{TiedPose, pose_covariance, worst_sigma_m};
+use super::PositionSource;
+use super::outlet::Outlet;
 use super::places::{Place, Places};
-use super::shelf::Shelf;
 use super::status::{KnownTie, Tie};
-use super::{Effect, Kept, NodeCounters, PositionSource};
-use crate::link::Class;
+use super::tied_pose::{TiedPose, pose_covariance, worst_sigma_m};
 
 /// The anchor's state machine, fed from the own map.
 pub struct AnchorRole {
@@ -28,15 +23,6 @@ pub struct AnchorRole {
     map_revision: u64,
     epoch_seed: u64,
     epoch_count: u64,
-}
-
-/// Where the effects of the role go.
-pub struct Outlet<'a> {
-    pub shelf: &'a mut Shelf,
-    pub exchange: &'a mut Exchange,
-    pub counters: &'a mut NodeCounters,
-    pub effects: &'a mut Vec<Effect>,
-    pub now: Timestamp,
 }
 
 impl AnchorRole {
@@ -170,66 +156,6 @@ impl AnchorRole {
                 }
             }
         }
-    }
-}
-
-impl Outlet<'_> {
-    fn publish(&mut self, effect: AnchorEffect) {
-        match effect {
-            AnchorEffect::PublishChunk { chunk, bytes } => {
-                let payload: Arc<[u8]> = Arc::from(bytes);
-                self.shelf.take_chunk(&chunk, &payload);
-                self.counters.chunks_published += 1;
-                let id = chunk.id().clone();
-                let kept = Kept::Chunk(id.clone(), Arc::clone(&payload));
-                self.send(kept, Class::Bulk, Key::Chunk(id.clone()), payload);
-                self.exchange
-                    .tell(SyncEvent::Stored(id), self.now, self.effects);
-            }
-            AnchorEffect::PublishPlacement(placement) => {
-                self.shelf.take_placement(placement.clone());
-                let map = placement.map.clone();
-                let payload = Arc::from(encode(&placement));
-                let key = Key::Placement(map.clone());
-                let kept = Kept::Placement(Box::new(placement));
-                self.send(kept, Class::Notice, key, payload);
-                self.tell_placement(map);
-            }
-            AnchorEffect::PublishPage(page) => {
-                self.shelf.take_page(page.clone());
-                let map = page.map().clone();
-                let payload = Arc::from(encode(&page));
-                let key = Key::PlacementPage(map.clone(), page.page());
-                self.send(Kept::Page(page), Class::Notice, key, payload);
-                self.tell_placement(map);
-            }
-            AnchorEffect::PublishManifest(manifest) => {
-                self.shelf.take_manifest(manifest.clone());
-                let key = Key::Manifest(manifest.map.anchor.clone());
-                let payload = Arc::from(encode(&manifest));
-                self.send(Kept::Manifest(manifest), Class::Notice, key, payload);
-            }
-            AnchorEffect::StateChanged { state, reason } => {
-                tracing::info!(%state, reason, "anchor");
-            }
-            AnchorEffect::RequestKeyframe(_) => {}
-        }
-    }
-
-    fn tell_placement(&mut self, map: MapId) {
-        if let Some(held) = self.shelf.map(&map) {
-            let event = held.placement_held(map);
-            self.exchange.tell(event, self.now, self.effects);
-        }
-    }
-
-    fn send(&mut self, kept: Kept, class: Class, key: Key, payload: Arc<[u8]>) {
-        self.effects.push(Effect::Keep(kept));
-        self.effects.push(Effect::Publish {
-            class,
-            key,
-            payload,
-        });
     }
 }
 
