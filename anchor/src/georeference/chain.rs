@@ -32,6 +32,7 @@ const CHI2_GATE: f64 = 11.34;
 const TELLING_FIX_COUNT: usize = 40;
 const EXCESS_MAX: f64 = 1.25;
 const DRIFT_FACTOR_MAX: f64 = 16.0;
+const DRIFT_FACTOR_MIN: f64 = 0.25;
 /// An attitude sensor's vertical (rad).
 const UP_SIGMA_RAD: f64 = 0.03;
 /// What is known before any fix: nothing much.
@@ -57,7 +58,8 @@ pub(super) struct Node {
 
 /// The best places of all keyframes from a first guess of the whole; `None` if it diverges.
 ///
-/// The drift model is widened until it explains the fixes, if it does not at first.
+/// The drift model is widened until it explains the fixes, if it does not at first; a map that
+/// drifts less than the model says has it narrowed as far as the fixes speak for that.
 pub(super) fn solve(
     ties: &[&Tie],
     keyframes: &BTreeMap<KeyframeId, KeyframePose>,
@@ -74,6 +76,9 @@ pub(super) fn solve(
         if bends && ties.len() >= TELLING_FIX_COUNT && problem.drift_factor < DRIFT_FACTOR_MAX {
             problem.drift_factor *= 2.0;
             continue;
+        }
+        if problem.drift_factor <= 1.0 && ties.len() >= TELLING_FIX_COUNT {
+            solution = problem.narrowed(solution)?;
         }
         // Noise beyond what the fixes state of themselves.
         for node in &mut solution.nodes {
@@ -172,6 +177,47 @@ impl<'a> Problem<'a> {
         })
     }
 
+    /// The solution under the most likely drift that is not above the model's. Its covariances are
+    /// the means over all those drifts, each weighted by how likely it is, since a few fixes do
+    /// not tell one from another.
+    fn narrowed(&mut self, solution: Solution) -> Option<Solution> {
+        let mut candidates = vec![(self.surprise()?, solution)];
+        while self.drift_factor > DRIFT_FACTOR_MIN {
+            self.drift_factor *= 0.5;
+            let narrower = self.minimise()?;
+            candidates.push((self.surprise()?, narrower));
+        }
+        candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let least = candidates.first()?.0;
+        let mut weight_sum = 0.0;
+        let mut covariances = vec![Matrix7::zeros(); self.places.len()];
+        for (surprise, candidate) in &candidates {
+            let weight = (0.5 * (least - surprise)).exp();
+            weight_sum += weight;
+            for (sum, node) in covariances.iter_mut().zip(&candidate.nodes) {
+                *sum += node.covariance * weight;
+            }
+        }
+        let (_, mut best) = candidates.swap_remove(0);
+        for (node, sum) in best.nodes.iter_mut().zip(covariances) {
+            node.covariance = sum / weight_sum;
+        }
+        Some(best)
+    }
+
+    /// Minus twice the logarithm of the drift factor's posterior, up to a constant: the marginal
+    /// likelihood of the fixes by Laplace, with one factor of two as the factor's deviation.
+    fn surprise(&self) -> Option<f64> {
+        let squared = self.residuals_squared();
+        let gate = gate(&squared);
+        let of_fixes: f64 = squared.iter().map(|one| one * tie_weight(*one, gate)).sum();
+        let steps = 1..self.places.len();
+        let log_steps: f64 = steps.map(|idx| -self.step(idx).1.map(f64::ln).sum()).sum();
+        let prior = self.drift_factor.log2().powi(2);
+        let log_hessian = self.linearise().log_determinant()?;
+        Some(of_fixes + self.cost_of_steps() + log_hessian + log_steps + prior)
+    }
+
     fn linearise(&self) -> Tridiagonal {
         let mut system = Tridiagonal::new(self.places.len());
         self.add_prior(&mut system);
@@ -179,11 +225,9 @@ impl<'a> Problem<'a> {
             self.add_step(&mut system, idx);
         }
         let residuals_squared = self.residuals_squared();
-        let gate = CHI2_GATE.max(6.0 * median(&residuals_squared));
+        let gate = gate(&residuals_squared);
         for (tie_idx, residual_squared) in residuals_squared.iter().enumerate() {
-            // No loss of efficiency within the gate, little influence beyond it.
-            let ratio = gate / residual_squared.max(gate);
-            self.add_tie(&mut system, tie_idx, ratio * ratio);
+            self.add_tie(&mut system, tie_idx, tie_weight(*residual_squared, gate));
         }
         system
     }
@@ -239,13 +283,14 @@ impl<'a> Problem<'a> {
         let rotation =
             (drift.rotation_rad.powi(2) * way + (drift.rotation_per_rad * turn_rad).powi(2) + 1e-8)
                 .sqrt();
-        // A millimetre for what the pose of a keyframe is uncertain by at least.
-        let translation =
-            (drift.translation * depth * way.sqrt()).hypot(1e-3 / self.start[0].scale());
         let log_scale =
             (drift.log_scale.powi(2) * way + (drift.log_scale_per_rad * turn_rad).powi(2) + 1e-8)
                 .sqrt();
-        let sigma = [rotation, translation, log_scale].map(|sigma| sigma * self.drift_factor);
+        let factor = self.drift_factor;
+        // A millimetre for what the pose of a keyframe is uncertain by at least.
+        let translation =
+            (factor * drift.translation * depth * way.sqrt()).hypot(1e-3 / self.start[0].scale());
+        let sigma = [rotation * factor, translation, log_scale * factor];
         (error, Tangent7::from_fn(|row, _| sigma[row / 3].powi(-2)))
     }
 
@@ -320,14 +365,18 @@ impl<'a> Problem<'a> {
     /// stated. Each step has as many components as the keyframe it leads to has unknowns.
     fn total_excess(&self) -> f64 {
         let squared = self.residuals_squared();
-        let gate = CHI2_GATE.max(6.0 * median(&squared));
+        let gate = gate(&squared);
         let inliers: Vec<f64> = squared.into_iter().filter(|one| *one < gate).collect();
+        (inliers.iter().sum::<f64>() + self.cost_of_steps()) / (3.0 * inliers.len() as f64)
+    }
+
+    fn cost_of_steps(&self) -> f64 {
         let steps = (1..self.places.len()).map(|idx| {
             let (error, weight) = self.step(idx);
             let error = self.about_scene(idx) * error;
             error.component_mul(&error).dot(&weight)
         });
-        (inliers.iter().sum::<f64>() + steps.sum::<f64>()) / (3.0 * inliers.len() as f64)
+        steps.sum()
     }
 
     /// Whether neighbouring fixes err alike, as where the map bends, not independently.
@@ -356,6 +405,16 @@ impl Tridiagonal {
         let hessian = row.transpose() * row * weight;
         self.add_diagonal(idx, &hessian, &(row.transpose() * (error * weight)));
     }
+}
+
+/// Squared residuals beyond this are outliers.
+fn gate(residuals_squared: &[f64]) -> f64 {
+    CHI2_GATE.max(6.0 * median(residuals_squared))
+}
+
+/// No loss of efficiency within the gate, little influence beyond it.
+fn tie_weight(residual_squared: f64, gate: f64) -> f64 {
+    (gate / residual_squared.max(gate)).powi(2)
 }
 
 fn wrap(angle_rad: f64) -> f64 {

@@ -2,7 +2,7 @@
 
 use geometry::{Matrix7, Tangent7};
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Tridiagonal {
     diagonal: Vec<Matrix7>,
     /// `H[i, i + 1]`.
@@ -68,6 +68,12 @@ impl Tridiagonal {
         Some(covariances)
     }
 
+    /// The logarithm of the determinant of `H`.
+    pub(super) fn log_determinant(&mut self) -> Option<f64> {
+        let pivots = self.eliminate()?;
+        Some(-pivots.iter().map(|one| one.determinant().ln()).sum::<f64>())
+    }
+
     /// Eliminates each node from the next; gives the inverses of the pivots.
     fn eliminate(&mut self) -> Option<Vec<Matrix7>> {
         let mut pivots: Vec<Matrix7> = Vec::with_capacity(self.diagonal.len());
@@ -123,14 +129,12 @@ mod tests {
                 .view_mut((7 * idx + 7, 7 * idx), (7, 7))
                 .copy_from(&upper.transpose());
         }
+        let log_determinant = dense.determinant().ln();
         let inverse = dense.try_inverse().unwrap();
         let expected = &inverse * right;
-        let mut copy = Tridiagonal {
-            diagonal: system.diagonal.clone(),
-            upper: system.upper.clone(),
-            right: system.right.clone(),
-        };
-        let (steps, covariances) = (system.solve().unwrap(), copy.marginals().unwrap());
+        let mut copy = system.clone();
+        let (steps, covariances) = (system.solve().unwrap(), copy.clone().marginals().unwrap());
+        assert!((copy.log_determinant().unwrap() - log_determinant).abs() < 1e-10);
         for idx in 0..node_count {
             assert!((steps[idx] - expected.rows(7 * idx, 7)).norm() < 1e-10);
             let block = inverse.view((7 * idx, 7 * idx), (7, 7));
