@@ -32,7 +32,7 @@ const CHI2_GATE: f64 = 11.34;
 const TELLING_FIX_COUNT: usize = 40;
 const EXCESS_MAX: f64 = 1.25;
 const DRIFT_FACTOR_MAX: f64 = 16.0;
-const DRIFT_FACTOR_MIN: f64 = 0.25;
+const DRIFT_FACTOR_MIN: f64 = 0.5;
 /// An attitude sensor's vertical (rad).
 const UP_SIGMA_RAD: f64 = 0.03;
 /// What is known before any fix: nothing much.

@@ -122,14 +122,14 @@ fn common_nees_mean(frames: &[Frame], georeference: &Georeference, ahead_m: f64)
     sum / count
 }
 
-/// Goal: a map that drifts four times less than the model says is not stated as if it did. Method:
+/// Goal: a map that drifts a third of what the model says is not stated as if it did. Method:
 /// the scene ahead against the keyframes' covariances, over 16 flights; under the model as it
 /// stands the mean is 0.2.
 #[test]
 fn a_map_that_hardly_drifts_is_stated_with_a_small_covariance() {
     let drift = Drift {
-        log_scale_per_sqrt_m: 0.0015,
-        rotation_rad_per_sqrt_m: 0.0013,
+        log_scale_per_sqrt_m: 0.002,
+        rotation_rad_per_sqrt_m: 0.0018,
     };
     let (mut nees_sum, mut factor_sum) = (0.0, 0.0);
     let seed_count = 16;

@@ -29,7 +29,8 @@ impl Vote {
         let camera_from_anchor = state.anchor_from_camera.inverse().adjoint();
         let georeference =
             camera_from_anchor * placement.covariance * camera_from_anchor.transpose();
-        let mut covariance = state.scaled_covariance() + georeference;
+        let share = state.georeference_share(settings);
+        let mut covariance = state.scaled_covariance() + georeference * share;
         let floor = &settings.alignment_floor;
         for axis in 0..3 {
             covariance[(axis, axis)] += floor.rotation_rad.powi(2);

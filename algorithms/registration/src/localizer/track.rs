@@ -34,6 +34,8 @@ pub(super) struct State {
     pub depth: f64,
     /// What the innovations say about the assumed noise: variance relative to it.
     pub noise_factor: f64,
+    /// How far the camera came over the keyframes behind this, in depths of the scene.
+    pub way_depths: f64,
 }
 
 /// The variance that drift adds on the way between two poses of the own map.
@@ -70,6 +72,13 @@ impl State {
             map_from_camera: *map_from_camera,
             ..*self
         }
+    }
+
+    /// The share of a chunk's georeference error that remains: chunks far apart along the way err
+    /// apart, and the keyframes behind this average them.
+    pub fn georeference_share(&self, settings: &LocalizerSettings) -> f64 {
+        let averaged = 1.0 / (1.0 + self.way_depths / settings.georeference_correlation_depths);
+        averaged.max(settings.georeference_share_min)
     }
 
     /// The covariance in which differences from what is measured are judged.
@@ -195,6 +204,7 @@ impl Step {
             (entry.map_from_camera.translation() - before.map_from_camera.translation()).norm();
         let mut predicted = before.predicted(&entry.map_from_camera, &settings.drift);
         predicted.depth = measurement.depth;
+        predicted.way_depths += travelled / measurement.depth;
         let disagreement = measurement.disagreement(&predicted);
         // Keyframes from nearly the same place see the same landmarks with the same errors: they
         // count as one only after a way of `correlation_depths`.
@@ -226,6 +236,7 @@ pub(super) fn first_state(
         map_from_camera: entry.map_from_camera,
         depth: measurement.depth,
         noise_factor: 1.0,
+        way_depths: 0.0,
     })
 }
 

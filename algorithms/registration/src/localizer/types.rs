@@ -222,6 +222,10 @@ pub struct LocalizerSettings {
     pub anchor_disagreement_max: f64,
     /// Keyframes nearer than this many depths share their errors.
     pub correlation_depths: f64,
+    /// Over a way of so many depths the georeference errors of an anchor's chunks become
+    /// independent of each other, but for a share of their variance that all have in common.
+    pub georeference_correlation_depths: f64,
+    pub georeference_share_min: f64,
     pub drift: DriftRates,
     /// Of one located keyframe.
     pub keyframe_floor: ErrorFloor,
@@ -258,6 +262,8 @@ impl Default for LocalizerSettings {
             disagreement_max: 5.0,
             anchor_disagreement_max: 4.0,
             correlation_depths: 0.3,
+            georeference_correlation_depths: 2.0,
+            georeference_share_min: 0.3,
             drift: DriftRates {
                 rotation_rad: 0.008,
                 translation: 0.004,
