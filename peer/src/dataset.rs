@@ -15,6 +15,7 @@ use crate::files::FileError;
 
 pub use argument::{DatasetArgument, FrameRange, MalformedRange};
 pub use calibration_file::CalibrationFile;
+use decode::IMAGE_BYTES_MAX;
 pub use decode::{ImageError, decode_grey, image_size};
 pub use layout::Layout;
 pub use reader::{Camera, CameraEvent, DatasetCamera, Frame};
@@ -228,7 +229,17 @@ fn read_image(path: &Path, expected: (usize, usize)) -> Result<Image, ImageError
     decode_grey(&bytes)
 }
 
+/// A pipe would be waited for, and a device read without end.
 fn read_bytes(path: &Path) -> Result<Vec<u8>, ImageError> {
+    let metadata = std::fs::metadata(path).map_err(ImageError::File)?;
+    if !metadata.is_file() {
+        return Err(ImageError::NoFile);
+    }
+    if metadata.len() > IMAGE_BYTES_MAX {
+        return Err(ImageError::TooLarge {
+            got_bytes: metadata.len(),
+        });
+    }
     std::fs::read(path).map_err(ImageError::File)
 }
 

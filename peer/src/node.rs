@@ -151,6 +151,8 @@ pub struct NodeCounters {
     pub duplicates: u64,
     /// Different bodies under one key; the first was kept.
     pub equivocations: u64,
+    /// Messages in this vehicle's name, or about its map, that it never said.
+    pub impersonations: u64,
     /// The global pose moved by more than its uncertainty explained.
     pub jumps: u64,
     /// Chunks that had to be asked for.

@@ -112,14 +112,9 @@ impl Store {
 }
 
 impl Holdings for Store {
-    fn answer(&self, question: &Question) -> Vec<Answer> {
-        let parameters = match MapParameters::parse(question.parameters()) {
-            Ok(parameters) => parameters,
-            Err(error) => {
-                tracing::debug!(%error, "question refused");
-                return Vec::new();
-            }
-        };
+    fn answer(&self, question: &Question) -> Result<Vec<Answer>, String> {
+        let parameters = MapParameters::parse(question.parameters());
+        let parameters = parameters.map_err(|error| error.to_string())?;
         let held = self.lock();
         let mut answers = Vec::new();
         let mut answer = |key: Key, payload: &dyn Fn() -> Arc<[u8]>| {
@@ -137,7 +132,7 @@ impl Holdings for Store {
         for (map, of_map) in &held.maps {
             of_map.answer(map, &self.id, &parameters, &mut answer);
         }
-        answers
+        Ok(answers)
     }
 }
 

@@ -25,7 +25,7 @@ pub enum MapCommand {
 pub struct GetArguments {
     /// A key expression: 'anchor/*/map' lists maps, 'anchor/*/map/*/*' brings chunks. It may end
     /// with `?bbox=east_min,north_min,east_max,north_max` (metres in the manifest's datum) and
-    /// `since={epoch}:{n}`, separated by `;`.
+    /// `since=EPOCH:N`, separated by `;`.
     pub selector: String,
     /// Where to ask; may be repeated.
     #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
@@ -168,14 +168,22 @@ fn print(maps: Vec<MapSummary>, arguments: &GetArguments) -> anyhow::Result<()> 
     }
     for map in &maps {
         let known = |count: Option<u64>| count.map_or("?".to_owned(), |count| count.to_string());
+        // A question for chunks alone brings no manifest.
+        let holders = if map.holders.is_empty() {
+            String::new()
+        } else {
+            format!(
+                "{} of {} chunks held by {}; ",
+                known(map.held_count),
+                known(map.chunk_count),
+                map.holders.join(", ")
+            )
+        };
         output::print_line(&format!(
-            "{} {} ({}): {} of {} chunks held by {}; {} came, {} points",
+            "{} {} ({}): {holders}{} came, {} points",
             map.anchor,
             map.epoch,
             map.datum.as_deref().unwrap_or("no datum known"),
-            known(map.held_count),
-            known(map.chunk_count),
-            map.holders.join(", "),
             map.received_count,
             map.point_count
         ));

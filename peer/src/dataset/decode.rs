@@ -14,6 +14,10 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 pub enum ImageError {
     #[error("cannot read the file: {0}")]
     File(std::io::Error),
+    #[error("a folder, pipe or device, expected a file")]
+    NoFile,
+    #[error("a file of {got_bytes} bytes, expected at most {IMAGE_BYTES_MAX}")]
+    TooLarge { got_bytes: u64 },
     #[error("neither PNG nor JPEG")]
     UnknownFormat,
     #[error("damaged PNG: {0}")]
@@ -33,6 +37,9 @@ pub enum ImageError {
         expected_height: usize,
     },
 }
+
+/// No image file is read that is longer.
+pub const IMAGE_BYTES_MAX: u64 = 1 << 28;
 
 /// The longest side that is decoded: a damaged header must not ask for the whole memory.
 const SIDE_MAX_PX: usize = 16384;

@@ -337,3 +337,12 @@ fn reads_euroc_and_kitti_folders() {
     write(kitti.path(), "film.mp4", "");
     assert!(refusal(&kitti.path().join("film.mp4")).contains("not supported yet"));
 }
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
+    for path in ["/dev/zero", "/"] {
+        let error = read_bytes(Path::new(path)).unwrap_err();
+        assert!(matches!(error, ImageError::NoFile), "{path}: {error}");
+    }
+}

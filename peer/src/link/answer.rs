@@ -11,7 +11,8 @@ use super::{Counters, LinkError};
 
 /// What a vehicle can answer with.
 pub trait Holdings: Send + Sync + 'static {
-    fn answer(&self, question: &Question) -> Vec<Answer>;
+    /// The reason, if the question makes no sense.
+    fn answer(&self, question: &Question) -> Result<Vec<Answer>, String>;
 }
 
 /// One reply.
@@ -89,7 +90,16 @@ fn answer_all(questions: &Receiver<Query>, holdings: &dyn Holdings, counters: &C
             expression: query.key_expr().clone(),
             parameters: query.parameters().as_str().to_owned(),
         };
-        for answer in holdings.answer(&question) {
+        let answers = match holdings.answer(&question) {
+            Ok(answers) => answers,
+            Err(reason) => {
+                if let Err(error) = query.reply_err(reason).wait() {
+                    tracing::debug!(%error, "reply failed");
+                }
+                continue;
+            }
+        };
+        for answer in answers {
             let bytes = answer.key.len() + answer.payload.len();
             // Replies travel with the priority of the question.
             let reply = query.reply(answer.key.as_str(), answer.payload.as_ref());

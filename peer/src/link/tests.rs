@@ -8,14 +8,14 @@ use super::*;
 struct Nothing;
 
 impl Holdings for Nothing {
-    fn answer(&self, question: &Question) -> Vec<Answer> {
+    fn answer(&self, question: &Question) -> Result<Vec<Answer>, String> {
         let key = "vehicle/a/chunk/x/1-00000000/7".to_owned();
         let payload = Arc::from(&b"chunk seven"[..]);
         let wanted = question.asks_for(&key) && question.parameters().is_empty();
-        wanted
+        Ok(wanted
             .then_some(Answer { key, payload })
             .into_iter()
-            .collect()
+            .collect())
     }
 }
 

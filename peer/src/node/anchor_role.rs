@@ -7,7 +7,7 @@ use anchor::{
     KeyframeInput, KeyframePose, PositionFix, keyframe_poses,
 };
 use geometry::{Enu, Map, Matrix7, Similarity, Timestamp};
-use protocol::{Epoch, VehicleState};
+use protocol::{Epoch, MapId, VehicleState};
 use vslam::{FrameReport, KeyframeId, VslamMap};
 
 use super::PositionSource;
@@ -39,6 +39,11 @@ impl AnchorRole {
             epoch_seed,
             epoch_count: 1,
         }
+    }
+
+    /// The map that is being published.
+    pub fn map(&self) -> &MapId {
+        self.anchor.map()
     }
 
     pub fn take_fix(&mut self, fix: PositionFix, map: &VslamMap, outlet: &mut Outlet<'_>) {

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use geometry::Timestamp;
 use protocol::keys::Key;
 use protocol::sync::SyncEvent;
-use protocol::{Chunk, ChunkId, Have, Manifest, MapId, Placement, PlacementPage, Pose, decode};
+use protocol::{
+    Chunk, ChunkId, Have, Manifest, MapId, Placement, PlacementPage, Pose, VehicleId, decode,
+};
 
 use super::shelf::Taken;
 use super::{Effect, Kept, Node, Role};
@@ -22,6 +24,8 @@ enum Refusal {
     Mismatch { body: String, key: String },
     #[error("nobody publishes under this key")]
     Misplaced,
+    #[error("somebody else speaks as this vehicle: the same id twice, or a forgery")]
+    Impersonation,
 }
 
 impl Node {
@@ -36,8 +40,10 @@ impl Node {
             .parse()
             .map_err(Refusal::from)
             .and_then(|parsed: Key| self.take(parsed, payload, now, effects));
-        if let Err(refusal) = taken {
-            self.count_malformed(key, &refusal);
+        match taken {
+            Ok(()) => {}
+            Err(Refusal::Impersonation) => self.count_impersonation(key),
+            Err(refusal) => self.count_malformed(key, &refusal),
         }
     }
 
@@ -67,12 +73,22 @@ impl Node {
             Key::Manifest(anchor) => {
                 let manifest: Manifest = decode(payload)?;
                 matches(&manifest.map.anchor, &anchor)?;
+                if self.is_own_map(&manifest.map) {
+                    return self.unless_own_id(&manifest.holder);
+                }
                 self.take_manifest(manifest, now, effects);
                 Ok(())
             }
             Key::Placement(map) => {
                 let placement: Placement = decode(payload)?;
                 matches(&placement.map, &map)?;
+                if self.is_own_map(&map) {
+                    let known = self
+                        .shelf
+                        .map(&map)
+                        .and_then(|held| held.placement.as_ref());
+                    return no_news(placement.revision, known.map(|one| one.revision));
+                }
                 self.take_placement(placement, now, effects);
                 Ok(())
             }
@@ -80,22 +96,41 @@ impl Node {
                 let body: PlacementPage = decode(payload)?;
                 matches(body.map(), &map)?;
                 matches(&body.page(), &page)?;
+                if self.is_own_map(&map) {
+                    let known = self.shelf.map(&map).and_then(|held| held.pages.get(&page));
+                    return no_news(body.revision(), known.map(PlacementPage::revision));
+                }
                 self.take_page(body, now, effects);
                 Ok(())
             }
             Key::Have(vehicle) => {
                 let have: Have = decode(payload)?;
                 matches(&have.vehicle, &vehicle)?;
+                self.unless_own_id(&vehicle)?;
                 self.exchange
                     .tell(SyncEvent::BeaconHeard(have), now, effects);
                 Ok(())
             }
             Key::Pose(vehicle) => {
                 let pose: Pose = decode(payload)?;
-                matches(&pose.vehicle, &vehicle)
+                matches(&pose.vehicle, &vehicle)?;
+                self.unless_own_id(&vehicle)
             }
             Key::Alive(_) => Err(Refusal::Misplaced),
         }
+    }
+
+    /// Whether this vehicle is the only one with something to say about the map.
+    fn is_own_map(&self, map: &MapId) -> bool {
+        matches!(&self.role, Role::Anchor(role) if role.map() == map)
+    }
+
+    /// The link does not bring back what this vehicle has said itself.
+    fn unless_own_id(&self, vehicle: &VehicleId) -> Result<(), Refusal> {
+        if *vehicle == self.settings.id {
+            return Err(Refusal::Impersonation);
+        }
+        Ok(())
     }
 
     fn take_chunk(
@@ -107,6 +142,9 @@ impl Node {
     ) -> Result<(), Refusal> {
         let chunk: Chunk = decode(payload)?;
         matches(chunk.id(), id)?;
+        if self.is_own_map(&id.map) && !self.shelf.holds_chunk(id, payload) {
+            return Err(Refusal::Impersonation);
+        }
         match self.shelf.take_chunk(&chunk, payload) {
             Taken::New => {
                 self.counters.chunks_received += 1;
@@ -183,12 +221,32 @@ impl Node {
         }
     }
 
+    fn count_impersonation(&mut self, key: &str) {
+        self.counters.impersonations += 1;
+        if self.counters.impersonations == 1 {
+            let key: String = key.chars().take(80).collect();
+            tracing::warn!(
+                key,
+                "somebody else speaks as this vehicle: give every vehicle an id of its own, or \
+                 look for who forges; further messages are only counted"
+            );
+        }
+    }
+
     fn count_equivocation(&mut self, map: &MapId, what: &str) {
         self.counters.equivocations += 1;
         if self.counters.equivocations == 1 {
             tracing::warn!(%map, what, "two bodies under one key; the first is kept");
         }
     }
+}
+
+/// A revision of the own map that others may have: the newest, or an older one.
+fn no_news(revision: u32, known: Option<u32>) -> Result<(), Refusal> {
+    if known.is_some_and(|known| revision <= known) {
+        return Ok(());
+    }
+    Err(Refusal::Impersonation)
 }
 
 fn matches<T: PartialEq + std::fmt::Debug>(body: &T, key: &T) -> Result<(), Refusal> {
@@ -200,3 +258,6 @@ fn matches<T: PartialEq + std::fmt::Debug>(body: &T, key: &T) -> Result<(), Refu
         key: format!("{key:?}"),
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -59,6 +59,12 @@ impl Shelf {
         Taken::New
     }
 
+    /// Whether the chunk is held with these bytes.
+    pub fn holds_chunk(&self, id: &ChunkId, bytes: &[u8]) -> bool {
+        let held = self.maps.get(&id.map);
+        held.and_then(|held| held.digests.get(&id.number)) == Some(&digest(bytes))
+    }
+
     pub fn take_manifest(&mut self, manifest: Manifest) -> Taken {
         let Some(held) = self.entry(&manifest.map) else {
             return Taken::Full;

@@ -48,10 +48,17 @@ fn malformed_messages_are_counted_and_ignored() {
             .wait()
             .unwrap();
     }
+    // Somebody who says what only this vehicle may say.
+    let own = Have::rotate(VehicleId::new("peer1").unwrap(), &[], 0).0;
+    let own = encode(&own);
+    for _ in 0..3 {
+        session.put("vehicle/peer1/have", &own[..]).wait().unwrap();
+    }
     vehicle.wait(Duration::from_secs(120));
     session.close().wait().unwrap();
     let peer = summary(folder.path(), "peer1");
     assert_eq!(peer["counters"]["malformed"], messages.len(), "{peer}");
+    assert_eq!(peer["counters"]["impersonations"], 3, "{peer}");
     assert_eq!(peer["counters"]["chunks_received"], 0);
     assert_eq!(peer["frame_count"], 70, "every frame was flown");
 }

@@ -1,0 +1,146 @@
+use camera::Calibration;
+use geodesy::Datum;
+use geometry::{Matrix7, Similarity};
+use nalgebra::Vector3;
+use protocol::{
+    ChunkCamera, ChunkHeader, ChunkNumber, ChunkPoint, Ranges, Reference, VehicleId, encode,
+};
+
+use super::*;
+use crate::node::{NodeSettings, PositionSource};
+
+fn anchor() -> Node {
+    let text = "resolution: [324, 244]\nintrinsics: [180.9, 180.94, 159.23, 155.72]\n\
+                distortion_model: radial-tangential\n\
+                distortion_coefficients: [0.0, 0.0, 0.0, 0.0]\ncamera_model: pinhole\n";
+    let settings = NodeSettings {
+        id: VehicleId::new("ugv1").unwrap(),
+        stale_after_s: 10.0,
+        global_sigma_m: None,
+        seed: 1,
+    };
+    let source = PositionSource {
+        datum: Some(Datum::site("lab").unwrap()),
+        antenna_in_body: Vector3::zeros(),
+        epoch_counter: 1,
+        epoch_seed: 7,
+    };
+    Node::anchor(
+        settings,
+        Calibration::from_euroc_yaml(text).unwrap(),
+        &source,
+    )
+}
+
+fn own_map(node: &Node) -> MapId {
+    match &node.role {
+        Role::Anchor(role) => role.map().clone(),
+        Role::Peer(_) => panic!("an anchor is no peer"),
+    }
+}
+
+fn chunk(map: MapId, number: u32) -> Chunk {
+    let header = ChunkHeader {
+        id: ChunkId {
+            map,
+            number: ChunkNumber(number),
+        },
+        captured_at: Timestamp::default(),
+        camera: ChunkCamera {
+            focal_length_px: 180.0,
+            width_px: 324,
+            height_px: 244,
+        },
+        replaces: Vec::new(),
+        reference: Reference::Fixed,
+        provenance: Vec::new(),
+        signature: Vec::new(),
+    };
+    let point = ChunkPoint {
+        position_in_chunk: Vector3::z(),
+        depth_sigma: 0.01,
+        descriptor: [1; 32],
+    };
+    Chunk::new(header, &[point]).unwrap()
+}
+
+fn hear(node: &mut Node, key: &Key, payload: Vec<u8>) -> Vec<Effect> {
+    let mut effects = Vec::new();
+    let payload: Arc<[u8]> = Arc::from(payload);
+    node.take_message(
+        &key.to_string(),
+        &payload,
+        Timestamp::default(),
+        &mut effects,
+    );
+    effects
+}
+
+/// Goal: nobody adds to an anchor's map but itself. Method: whole messages about the map that is
+/// being published; nothing is kept, and each is counted.
+#[test]
+fn what_an_anchor_never_said_of_its_map_is_refused() {
+    let mut node = anchor();
+    let map = own_map(&node);
+    let forged = chunk(map.clone(), 6012);
+    let placement = Placement {
+        map: map.clone(),
+        revision: u32::MAX,
+        captured_at: Timestamp::default(),
+        datum: Datum::site("lab").unwrap(),
+        enu_from_map: Similarity::identity(),
+        covariance: Matrix7::identity(),
+        fix_sigma_m: 0.02,
+        reference: Reference::Fixed,
+        provenance: Vec::new(),
+        signature: Vec::new(),
+    };
+    let manifest = Manifest {
+        map: map.clone(),
+        revision: 9,
+        datum: Datum::site("lab").unwrap(),
+        chunks: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
+        bounding_box: None,
+        public_key: Vec::new(),
+        signature: Vec::new(),
+        holder: VehicleId::new("ugv1").unwrap(),
+        held: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
+    };
+    let page = PlacementPage::new(map.clone(), 0, 7, &[]);
+    let messages = [
+        (Key::Chunk(forged.id().clone()), encode(&forged)),
+        (Key::Placement(map.clone()), encode(&placement)),
+        (Key::PlacementPage(map.clone(), 0), encode(&page)),
+        (Key::Manifest(map.anchor.clone()), encode(&manifest)),
+    ];
+    let count = messages.len() as u64;
+    for (key, payload) in messages {
+        assert!(hear(&mut node, &key, payload).is_empty(), "{key}");
+    }
+    assert_eq!(node.counters.impersonations, count);
+    assert_eq!(node.counters.chunks_received, 0);
+    assert!(node.shelf.map(&map).is_none());
+}
+
+#[test]
+fn an_own_chunk_that_comes_back_is_a_duplicate() {
+    let mut node = anchor();
+    let own = chunk(own_map(&node), 0);
+    let payload = encode(&own);
+    node.shelf.take_chunk(&own, &payload);
+    assert!(hear(&mut node, &Key::Chunk(own.id().clone()), payload).is_empty());
+    assert_eq!(node.counters.impersonations, 0);
+    assert_eq!(node.counters.duplicates, 1);
+}
+
+/// An epoch from before a restart is held by others alone.
+#[test]
+fn chunks_of_an_earlier_epoch_are_taken_back() {
+    let mut node = anchor();
+    let mut map = own_map(&node);
+    map.epoch = "1-0000000a".parse().unwrap();
+    let old = chunk(map, 3);
+    let effects = hear(&mut node, &Key::Chunk(old.id().clone()), encode(&old));
+    assert!(effects.iter().any(|one| matches!(one, Effect::Keep(_))));
+    assert_eq!(node.counters.chunks_received, 1);
+}
