@@ -29,7 +29,24 @@ fn write_line(line: &str) -> std::io::Result<()> {
 
 /// Prints one line of diagnostics to stderr.
 pub fn diagnose(line: &str) {
-    eprintln!("{line}");
+    // `eprintln!` would panic where nothing can be written; this is never an error.
+    let _ = Diagnostics(std::io::stderr()).write_all(format!("{line}\n").as_bytes());
+}
+
+/// Takes everything and loses what cannot be written: nobody is left to be told, and a full disk
+/// under a vehicle's log is no reason not to fly.
+struct Diagnostics<W>(W);
+
+impl<W: Write> Write for Diagnostics<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let _ = self.0.write_all(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        let _ = self.0.flush();
+        Ok(())
+    }
 }
 
 /// Sends log lines to stderr; `RUST_LOG` chooses which, warnings of this project by default.
@@ -43,7 +60,9 @@ pub fn start_log() {
             std::io::stderr().is_terminal(),
             std::env::var_os("NO_COLOR").as_deref(),
         ))
-        .with_writer(std::io::stderr)
+        .with_writer(|| Diagnostics(std::io::stderr()))
+        // They would be told with `eprintln!`, which panics where nothing can be written.
+        .log_internal_errors(false)
         .finish();
     // Fails only when a test has already installed one, which is then used.
     let _ = tracing::subscriber::set_global_default(subscriber);
@@ -83,6 +102,26 @@ impl Progress {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A full disk.
+    struct Full;
+
+    impl Write for Full {
+        fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+            Err(ErrorKind::StorageFull.into())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Err(ErrorKind::StorageFull.into())
+        }
+    }
+
+    #[test]
+    fn diagnostics_that_cannot_be_written_are_no_error() {
+        let mut out = Diagnostics(Full);
+        assert_eq!(out.write(b"lost").unwrap(), 4);
+        out.flush().unwrap();
+    }
 
     #[test]
     fn color_is_for_terminals_of_those_who_have_not_said_no() {

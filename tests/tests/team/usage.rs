@@ -117,3 +117,30 @@ fn bad_input_is_named_with_its_place() {
     let stream = "[camera]\nstream = \"127.0.0.1:9\"\ncalibration = \"no.yaml\"\n";
     run("calibration.toml", stream, 1, "no.yaml");
 }
+
+/// A person or a parent that cannot be told anything still gets the exit code.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_cannot_be_said_changes_no_exit_code() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().to_str().unwrap();
+    let end = |arguments: &[&str]| {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let output = starling().args(arguments).stderr(full).output().unwrap();
+        output.status.code()
+    };
+    assert_eq!(end(&["slam", "nope", "--out", out]), Some(1));
+    assert_eq!(end(&["no-such-command"]), Some(2));
+    let config = folder.path().join("v.toml");
+    let dataset = RECORDINGS.ground.display();
+    let fixes = folder.path().join("fixes.tum");
+    let given = fs::read_to_string(&RECORDINGS.fixes).unwrap();
+    fs::write(&fixes, format!("{given}0.0 nan 1 2 0 0 0 1\n")).unwrap();
+    let text = format!(
+        "id = \"v\"\nout = {out:?}\n[camera]\ndataset = \"{dataset}@0..2\"\n\
+         [position]\nfile = {fixes:?}\n[zenoh]\nlisten = [\"tcp/127.0.0.1:0\"]\n"
+    );
+    fs::write(&config, text).unwrap();
+    // The vehicle warns of the bad fix through the log, and of its loss at the end.
+    assert_eq!(end(&["run", "--config", config.to_str().unwrap()]), Some(3));
+}
