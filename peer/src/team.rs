@@ -54,8 +54,8 @@ pub struct PlannedVehicle {
 #[derive(Debug)]
 pub struct TeamReport {
     pub ending: Ending,
-    /// Flown time over wall time.
-    pub realtime_factor: f64,
+    /// Flown time over wall time; `None` if nothing was flown.
+    pub realtime_factor: Option<f64>,
     /// Those that ended in order.
     pub vehicles: Vec<VehicleSummary>,
     /// Messages over links that were up did not arrive in time; runs may differ.
@@ -198,12 +198,8 @@ impl Flight {
         Ok(())
     }
 
-    fn realtime_factor(&self) -> f64 {
-        if self.wall_s > 0.0 {
-            self.flown_s / self.wall_s
-        } else {
-            0.0
-        }
+    fn realtime_factor(&self) -> Option<f64> {
+        (self.flown_s > 0.0 && self.wall_s > 0.0).then(|| self.flown_s / self.wall_s)
     }
 }
 
@@ -354,7 +350,7 @@ impl Team {
                 self.barrier
                     .take_neighbours(event.vehicle_idx, neighbour_count);
             }
-            Report::Listening { .. } => {}
+            Report::Listening { .. } | Report::Failed { .. } => {}
             Report::Finished { .. } => {
                 let id = self.barrier.id(event.vehicle_idx);
                 return Err(anyhow!("vehicle {id} ended early; somebody told it to"));

@@ -40,6 +40,12 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<Exit> {
         report if supervised => print_report(report),
         Report::Listening { endpoints, .. } => output::diagnose(&client_line(endpoints)),
         _ => {}
+    });
+    let summary = summary.inspect_err(|error| {
+        if supervised {
+            let error = format!("{error:#}");
+            print_report(&Report::Failed { error });
+        }
     })?;
     if !supervised {
         output::print_line(&format!(

@@ -56,7 +56,7 @@ pub struct TeamArguments {
 struct TeamJson {
     /// Everybody flew to the end and nothing was lost: the exit code is 0.
     ok: bool,
-    realtime_factor: f64,
+    realtime_factor: Option<f64>,
     vehicles: Vec<VehicleReport>,
 }
 
@@ -119,7 +119,9 @@ fn print(report: &TeamReport, ok: bool, json: bool) -> anyhow::Result<()> {
     for line in table(&vehicles) {
         output::print_line(&line);
     }
-    output::print_line(&format!("{:.2} times real time", report.realtime_factor));
+    if let Some(realtime_factor) = report.realtime_factor {
+        output::print_line(&format!("{realtime_factor:.2} times real time"));
+    }
     Ok(())
 }
 

@@ -58,6 +58,10 @@ pub enum Report {
     Finished {
         summary: Box<VehicleSummary>,
     },
+    /// It ends without having flown. The log says so too, unless its disk is full.
+    Failed {
+        error: String,
+    },
 }
 
 /// Reads orders until the parent closes the pipe, which is also what its death does.

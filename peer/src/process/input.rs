@@ -34,6 +34,10 @@ pub enum Input {
     /// Something came that cannot even be placed in time; it is counted.
     Skipped {
         what: Skipped,
+        reason: String,
+    },
+    /// So many fixes of a file are not used; more do not follow.
+    FixesLeftOut {
         count: u64,
         reason: String,
     },
@@ -56,9 +60,10 @@ impl Input {
         match self {
             Self::Frame { captured_at, .. } | Self::Unreadable { captured_at, .. } => *captured_at,
             Self::Fix(fix) => fix.captured_at,
-            Self::Skipped { .. } | Self::BrokenOff { .. } | Self::End => {
-                Timestamp::from_nanoseconds(i64::MIN)
-            }
+            Self::Skipped { .. }
+            | Self::FixesLeftOut { .. }
+            | Self::BrokenOff { .. }
+            | Self::End => Timestamp::from_nanoseconds(i64::MIN),
         }
     }
 

@@ -38,9 +38,7 @@ impl Outputs {
     pub fn create(folder: &Path, id: &str) -> anyhow::Result<Self> {
         let path = |suffix: &str| folder.join(format!("{id}.{suffix}"));
         let mut covariances = Lines::create(&path("cov.csv"))?;
-        covariances
-            .append(COVARIANCE_HEADER)
-            .with_context(|| format!("cannot write {}", path("cov.csv").display()))?;
+        covariances.append(COVARIANCE_HEADER)?;
         Ok(Self {
             folder: folder.to_owned(),
             id: id.to_owned(),
@@ -138,9 +136,13 @@ impl Outputs {
         if let Some(recorder) = self.recorder.take() {
             loss.note("the recording", recorder.finish());
         }
-        summary.unwritten_count = loss.total();
+        let tell = |summary: &mut VehicleSummary, loss: &Loss| {
+            summary.unwritten_count = loss.total();
+            summary.write_error = loss.first().map(str::to_owned);
+        };
+        tell(summary, loss);
         loss.note("the summary", self.write_summary(summary));
-        summary.unwritten_count = loss.total();
+        tell(summary, loss);
     }
 
     /// What grew in a folder that has been removed is gone, though every write went well.

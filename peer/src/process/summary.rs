@@ -39,6 +39,9 @@ pub struct VehicleSummary {
     /// disk.
     #[serde(default)]
     pub unwritten_count: u64,
+    /// Why the first of them could not; null if there is none.
+    #[serde(default)]
+    pub write_error: Option<String>,
     /// Input to published pose, wall clock.
     pub ms_per_frame_p50: Option<f64>,
     pub ms_per_frame_p99: Option<f64>,
@@ -56,7 +59,8 @@ impl VehicleSummary {
         ];
         let counts = counts.iter().filter(|(count, _)| *count > 0);
         let counts = counts.map(|(count, what)| format!("{what}: {count}"));
-        let parts: Vec<String> = counts.chain(self.input_error.clone()).collect();
+        let errors = self.write_error.iter().chain(&self.input_error).cloned();
+        let parts: Vec<String> = counts.chain(errors).collect();
         (!parts.is_empty()).then(|| parts.join(", "))
     }
 }

@@ -117,17 +117,17 @@ impl Vehicle {
                 reason,
             } => {
                 self.tally.begin_frame(captured_at);
-                self.tally.skip(Skipped::Frame, 1, &reason);
+                self.tally.skip(Skipped::Frame, &reason);
                 self.take(Event::Tick, now);
             }
             Input::Fix(fix) => self.take(Event::Fix(fix), now),
-            Input::Skipped {
-                what,
-                count,
-                reason,
-            } => {
-                self.tally.frame_count += if what == Skipped::Frame { count } else { 0 };
-                self.tally.skip(what, count, &reason);
+            Input::Skipped { what, reason } => {
+                self.tally.frame_count += u64::from(what == Skipped::Frame);
+                self.tally.skip(what, &reason);
+            }
+            Input::FixesLeftOut { count, reason } => {
+                self.tally.skipped_fix_count += count;
+                tracing::warn!("{reason}");
             }
             Input::BrokenOff { reason } => {
                 // Whoever waits for the end says so, once.
@@ -234,6 +234,7 @@ impl Vehicle {
             without_link_s: tally.without_link_s,
             dropped_count: counters.dropped(),
             unwritten_count: 0,
+            write_error: None,
             ms_per_frame_p50: quantile(&tally.frame_ms, 0.5),
             ms_per_frame_p99: quantile(&tally.frame_ms, 0.99),
             counters: self.node.counters(),
@@ -248,17 +249,14 @@ impl Tally {
     }
 
     /// Counts what cannot be used, and says so for the first of each kind.
-    fn skip(&mut self, what: Skipped, count: u64, reason: &str) {
+    fn skip(&mut self, what: Skipped, reason: &str) {
         let (counted, noun) = match what {
             Skipped::Frame => (&mut self.unreadable_count, "image"),
             Skipped::Fix => (&mut self.skipped_fix_count, "fix"),
         };
-        let is_first = *counted == 0;
-        *counted += count;
-        if is_first && count == 1 {
+        *counted += 1;
+        if *counted == 1 {
             tracing::warn!("{noun} skipped, further ones are only counted: {reason}");
-        } else if is_first {
-            tracing::warn!("{reason}");
         }
     }
 

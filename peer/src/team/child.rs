@@ -47,6 +47,8 @@ struct Member {
     /// What it says to people.
     log: PathBuf,
     summary: Option<VehicleSummary>,
+    /// Why it says that it ends.
+    error: Option<String>,
     has_failed: bool,
 }
 
@@ -125,6 +127,7 @@ impl Crew {
             child,
             log,
             summary: None,
+            error: None,
             has_failed: false,
         });
         Ok(())
@@ -164,8 +167,12 @@ impl Crew {
             let member = &mut self.members[incoming.vehicle_idx];
             match incoming.report {
                 Some(report) => {
-                    if let Report::Finished { summary } = &report {
-                        member.summary = Some((**summary).clone());
+                    match &report {
+                        Report::Finished { summary } => {
+                            member.summary = Some((**summary).clone());
+                        }
+                        Report::Failed { error } => member.error = Some(error.clone()),
+                        _ => {}
                     }
                     return Ok(Some(CrewEvent {
                         vehicle_idx: incoming.vehicle_idx,
@@ -322,6 +329,7 @@ impl Member {
             process: self.child.id(),
             trouble,
             last_line: last_line(&self.log),
+            error: self.error.clone(),
             log: self.log.clone(),
         }
     }

@@ -12,6 +12,8 @@ pub struct VehicleFailure {
     pub trouble: Trouble,
     /// The last thing that it said.
     pub last_line: Option<String>,
+    /// Why it says that it ended: not in its log if the disk is full.
+    pub error: Option<String>,
     pub log: PathBuf,
 }
 
@@ -39,12 +41,13 @@ impl fmt::Display for VehicleFailure {
             }
             Trouble::Lost { reason } => write!(out, "{reason}")?,
         }
-        match &self.last_line {
-            Some(line) => {
+        match (&self.last_line, &self.error) {
+            (Some(line), _) => {
                 let log = self.log.display();
                 write!(out, "; it last said {line:?}; all that it said: {log}")
             }
-            None => write!(out, "; it said nothing of its own"),
+            (None, Some(error)) => write!(out, ": {error}; its log holds nothing"),
+            (None, None) => write!(out, "; it said nothing of its own"),
         }
     }
 }
@@ -84,26 +87,32 @@ mod tests {
     #[test]
     fn names_the_signal_or_the_exit_code_and_the_log() {
         use std::os::unix::process::ExitStatusExt;
-        let failure = |wait_status, last_line: Option<&str>| VehicleFailure {
+        let failure = |wait_status, last_line: Option<&str>, error: Option<&str>| VehicleFailure {
             id: "peer1".to_owned(),
             process: 42,
             trouble: Trouble::Ended {
                 how: how_it_ended(ExitStatus::from_raw(wait_status)),
             },
             last_line: last_line.map(str::to_owned),
+            error: error.map(str::to_owned),
             log: PathBuf::from("t/peer1.log"),
         };
-        let killed = failure(11, None).to_string();
+        let killed = failure(11, None, None).to_string();
         assert_eq!(
             killed,
             "vehicle peer1 (process 42) was killed by signal 11 (SIGSEGV); it said nothing of its \
              own"
         );
-        let failed = failure(1 << 8, Some("error: no room")).to_string();
+        let failed = failure(1 << 8, Some("error: no room"), Some("no room")).to_string();
         assert_eq!(
             failed,
             "vehicle peer1 (process 42) ended with exit code 1; it last said \"error: no room\"; \
              all that it said: t/peer1.log"
+        );
+        let unlogged = failure(1 << 8, None, Some("disk full")).to_string();
+        assert_eq!(
+            unlogged,
+            "vehicle peer1 (process 42) ended with exit code 1: disk full; its log holds nothing"
         );
     }
 }

@@ -58,8 +58,11 @@ impl VehicleReport {
     }
 }
 
-/// The vehicles as lines of a table, the head first.
+/// The vehicles as lines of a table, the head first; nothing without a vehicle.
 pub fn table(vehicles: &[VehicleReport]) -> Vec<String> {
+    if vehicles.is_empty() {
+        return Vec::new();
+    }
     let with_truth = vehicles.iter().any(|vehicle| vehicle.score.is_some());
     let mut head = vec![
         "vehicle", "role", "state", "global", "scale", "chunks", "sent", "no link",
@@ -118,4 +121,12 @@ fn align(rows: &[Vec<String>]) -> Vec<String> {
         cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
     };
     rows.iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_table_of_nobody_has_no_head() {
+        assert!(super::table(&[]).is_empty());
+    }
 }

@@ -7,7 +7,7 @@ use anyhow::Context;
 use camera::Calibration;
 use geometry::Timestamp;
 
-use super::{Input, Skipped, Source};
+use super::{Input, Source};
 use crate::config::VehicleConfig;
 use crate::dataset::{
     CalibrationFile, Camera, CameraEvent, Dataset, DatasetArgument, DatasetCamera,
@@ -42,8 +42,7 @@ impl Recording {
             let (first, last) = first.zip(last).context("the recording has no frame")?;
             // What the vehicle has not flown yet, or not any more, is none of its business.
             fixes = file.within(first, last)?.into();
-            skipped = file.warning().map(|reason| Input::Skipped {
-                what: Skipped::Fix,
+            skipped = file.warning().map(|reason| Input::FixesLeftOut {
                 count: file.skipped.len() as u64,
                 reason,
             });

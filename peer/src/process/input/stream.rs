@@ -130,7 +130,6 @@ impl StreamSource {
     fn skip(&self, what: Skipped, reason: &str) -> Input {
         Input::Skipped {
             what,
-            count: 1,
             reason: format!("{reason}: stream driver at {}", self.address),
         }
     }

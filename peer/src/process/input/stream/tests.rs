@@ -46,6 +46,7 @@ fn play(bytes: Vec<u8>) -> (Vec<String>, Vec<u8>) {
             Input::Fix(fix) => format!("fix {}", fix.captured_at.nanoseconds()),
             Input::Unreadable { reason, .. }
             | Input::Skipped { reason, .. }
+            | Input::FixesLeftOut { reason, .. }
             | Input::BrokenOff { reason } => {
                 assert!(reason.ends_with(&address), "{reason:?} lacks {address}");
                 reason
