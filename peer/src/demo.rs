@@ -91,7 +91,7 @@ pub fn fly(plan: &DemoPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Re
     // All vehicles have ended: now the truth may be looked at.
     drop(flight);
     let ending = Ending::new(flown, failures);
-    judge(plan, &out, &summaries, report, ending)
+    Ok(judge(plan, &out, &summaries, report, ending))
 }
 
 /// What an earlier flight into the same folder left: its truth is nothing for a vehicle, and its
@@ -350,7 +350,7 @@ fn judge(
     summaries: &[VehicleSummary],
     report: Option<SimulatorReport>,
     ending: Ending,
-) -> anyhow::Result<DemoReport> {
+) -> DemoReport {
     let mut losses: Vec<String> = summaries
         .iter()
         .filter_map(|summary| Some(format!("{}: {}", summary.id, summary.loss()?)))
@@ -359,7 +359,7 @@ fn judge(
     let mut plot = None;
     // Without the simulator's report nobody knows the truth.
     if let Some(report) = &report {
-        write_truth(out, &report.vehicles)?;
+        write_truth(out, &report.vehicles, &mut losses);
         plot = draw(out, summaries, &mut losses);
     }
     for summary in summaries {
@@ -372,22 +372,28 @@ fn judge(
         }
         vehicles.push(VehicleReport::new(summary, score.ok().flatten()));
     }
-    Ok(DemoReport {
+    DemoReport {
         ending,
         realtime_factor: report.and_then(|report| report.realtime_factor),
         vehicles,
         plot,
         losses,
-    })
+    }
 }
 
-fn write_truth(out: &Path, truths: &[VehicleTruth]) -> anyhow::Result<()> {
+fn write_truth(out: &Path, truths: &[VehicleTruth], losses: &mut Vec<String>) {
     for truth in truths {
         let path = truth_path(out, &truth.id);
-        std::fs::write(&path, &truth.truth_tum)
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        if let Err(error) = std::fs::write(&path, &truth.truth_tum) {
+            // A part of the truth would be judged by; there may be none.
+            let _ = std::fs::remove_file(&path);
+            losses.push(format!(
+                "{}: cannot write {}: {error}",
+                truth.id,
+                path.display()
+            ));
+        }
     }
-    Ok(())
 }
 
 fn draw(out: &Path, summaries: &[VehicleSummary], losses: &mut Vec<String>) -> Option<PathBuf> {
@@ -406,3 +412,6 @@ fn draw(out: &Path, summaries: &[VehicleSummary], losses: &mut Vec<String>) -> O
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
