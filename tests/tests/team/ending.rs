@@ -29,6 +29,8 @@ fn a_full_disk_costs_files_and_not_the_flight() {
     let peer = summary(folder.path(), "peer1");
     assert_eq!(peer["frame_count"], 30, "{peer}");
     assert!(peer["unwritten_count"].as_u64() >= Some(2), "{peer}");
+    let cause = peer["write_error"].as_str().unwrap();
+    assert!(cause.contains("No space left"), "{cause}");
     assert!(folder.path().join("peer1.own.tum").exists());
 }
 
