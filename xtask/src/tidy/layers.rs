@@ -15,6 +15,7 @@ const LAYERS: [(&str, &[&str]); 12] = [
     ("camera", &["geometry"]),
     ("features", &["camera"]),
     ("geodesy", &["geometry"]),
+    ("keeping", &["camera", "geometry"]),
     ("vslam", &["camera", "features", "geometry"]),
     ("registration", &["camera", "features", "geometry"]),
     ("protocol", &["geodesy", "geometry"]),

@@ -1,0 +1,1 @@
+//! Pairs of marker lights in an image.
