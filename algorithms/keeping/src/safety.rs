@@ -1,0 +1,255 @@
+//! The safety filter: the nearest velocity that closes in on nothing too fast.
+
+use nalgebra::Vector3;
+
+use crate::bounded::Bounded;
+use crate::tracks::{TRACK_COUNT_MAX, Track};
+
+/// More obstacles than this are not looked at; the caller gives the nearest first.
+pub const OBSTACLE_COUNT_MAX: usize = 32;
+
+/// Something to keep clear of, from the vehicle's own map or range sensors, in the heading frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Obstacle {
+    /// Towards its nearest point, of length one.
+    pub direction: Vector3<f64>,
+    /// From the vehicle's centre to that point.
+    pub clearance_m: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SafetySettings {
+    /// Centres of vehicles stay this far apart.
+    pub distance_m_min: f64,
+    /// Centres of vehicles stay this far from obstacles.
+    pub clearance_m_min: f64,
+    /// What is left to the limit may be used up at this rate. Larger brakes later and harder.
+    pub approach_hz: f64,
+    /// The neighbour ahead does not see us and may back up this fast.
+    pub unaware_mps: f64,
+    /// A neighbour counts as slower than the swarm only by more than this: noise of the rate.
+    pub slower_mps_min: f64,
+    /// The command never exceeds the nominal speed by more than this.
+    pub excess_mps_max: f64,
+}
+
+impl Default for SafetySettings {
+    fn default() -> Self {
+        Self {
+            distance_m_min: 0.8,
+            clearance_m_min: 0.4,
+            approach_hz: 1.0,
+            unaware_mps: 0.1,
+            slower_mps_min: 0.2,
+            excess_mps_max: 0.5,
+        }
+    }
+}
+
+/// `direction · velocity <= speed_mps_max`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Limit {
+    /// Of length one, in the heading frame.
+    pub direction: Vector3<f64>,
+    pub speed_mps_max: f64,
+}
+
+pub type Limits = Bounded<Limit, { TRACK_COUNT_MAX + OBSTACLE_COUNT_MAX }>;
+
+/// Cyclic projection ends after so many rounds over the limits, whatever is left then.
+const SWEEP_COUNT: usize = 20;
+/// Limits broken by less are kept.
+const SLACK_MPS: f64 = 1e-9;
+/// Lateral neighbours see us too and do their half.
+const MUTUAL_SHARE: f64 = 0.5;
+/// Within 30° of ahead we are in the other's blind rear: `cos 30°`, about the vertical.
+const AHEAD_TAN: f64 = 0.577_350_269_189_625_8;
+/// Rates of younger tracks are not used.
+const RATE_SIGHTING_COUNT_MIN: u32 = 8;
+
+/// How the vehicle flies, in the heading frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Flight {
+    /// The velocity common to the swarm.
+    pub nominal: Vector3<f64>,
+    /// The vehicle's own velocity now.
+    pub velocity: Vector3<f64>,
+}
+
+impl SafetySettings {
+    /// The limit that a neighbour sets, if it is near enough to matter.
+    ///
+    /// A discrete control barrier: the range may shrink at most at `approach_hz` times what is
+    /// left of it, counted with its lower bound. Where the range is unknown, nobody closes in.
+    ///
+    /// - `direction`: towards it, heading frame.
+    pub fn neighbour_limit(
+        &self,
+        direction: Vector3<f64>,
+        track: &Track,
+        flight: &Flight,
+    ) -> Option<Limit> {
+        let low_m = track
+            .range
+            .low_m
+            .min(track.range_m.unwrap_or(f64::INFINITY));
+        let left_m = (low_m - track.age_s * self.unaware_mps - self.distance_m_min).max(0.0);
+        if left_m * self.approach_hz * MUTUAL_SHARE > 2.0 * self.excess_mps_max + 1.0 {
+            return None;
+        }
+        let missing_m = track
+            .range_m
+            .map_or(0.0, |range_m| (range_m - self.distance_m_min).min(0.0));
+        let is_ahead = direction.x > 0.0 && direction.y.abs() < AHEAD_TAN * direction.x;
+        let (share, margin_mps) = if is_ahead {
+            (1.0, self.unaware_mps)
+        } else {
+            (MUTUAL_SHARE, 0.0)
+        };
+        let closing_mps = share * self.approach_hz * (left_m + missing_m) - margin_mps;
+        let together_mps = direction.dot(&flight.nominal);
+        let slower_mps = self.slower_mps(&direction, track, flight);
+        Some(Limit {
+            direction,
+            speed_mps_max: together_mps - slower_mps + closing_mps,
+        })
+    }
+
+    /// By how much the neighbour lags behind the nominal velocity towards us, beyond noise.
+    fn slower_mps(&self, direction: &Vector3<f64>, track: &Track, flight: &Flight) -> f64 {
+        let Some(range_m) = track.range_m else {
+            return 0.0;
+        };
+        if track.sighting_count < RATE_SIGHTING_COUNT_MIN {
+            return 0.0;
+        }
+        let its_mps = direction.dot(&flight.velocity) + track.growth_hz * range_m;
+        let slower_mps = direction.dot(&flight.nominal) - its_mps;
+        (slower_mps - self.slower_mps_min).clamp(0.0, 2.0)
+    }
+
+    pub fn obstacle_limit(&self, obstacle: &Obstacle) -> Limit {
+        Limit {
+            direction: obstacle.direction,
+            speed_mps_max: self.approach_hz * (obstacle.clearance_m - self.clearance_m_min),
+        }
+    }
+}
+
+/// The velocity near to the wanted one that keeps all limits, if there is one.
+///
+/// Cyclic projection onto half-spaces: each round moves the velocity the least that each limit
+/// asks for. Where the limits contradict each other, it ends between them.
+pub fn limit(wanted: &Vector3<f64>, limits: &[Limit]) -> Vector3<f64> {
+    let mut velocity = *wanted;
+    for _ in 0..SWEEP_COUNT {
+        let mut is_kept = true;
+        for limit in limits {
+            let excess_mps = limit.direction.dot(&velocity) - limit.speed_mps_max;
+            if excess_mps > SLACK_MPS {
+                velocity -= limit.direction * excess_mps;
+                is_kept = false;
+            }
+        }
+        if is_kept {
+            break;
+        }
+    }
+    velocity
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::sighting::Range;
+
+    fn neighbour_at(range_m: f64) -> Track {
+        Track {
+            range: Range {
+                expected_m: Some(range_m),
+                low_m: range_m,
+                high_m: range_m,
+            },
+            range_m: Some(range_m),
+            ..Track::default()
+        }
+    }
+
+    #[test]
+    fn approach_ends_at_the_smallest_distance() {
+        let settings = SafetySettings::default();
+        let flight = Flight::default();
+        let limit_at = |range_m: f64| {
+            let limit = settings.neighbour_limit(Vector3::y(), &neighbour_at(range_m), &flight);
+            limit.unwrap().speed_mps_max
+        };
+        assert!(limit_at(1.8) > 0.4);
+        assert!(limit_at(0.8).abs() < 1e-12);
+        assert!(limit_at(0.5) < 0.0);
+    }
+
+    #[test]
+    fn an_unknown_range_is_never_approached() {
+        let unknown = Track::default();
+        let settings = SafetySettings::default();
+        let limit = settings.neighbour_limit(Vector3::y(), &unknown, &Flight::default());
+        assert!(limit.unwrap().speed_mps_max.abs() < 1e-12);
+    }
+
+    #[test]
+    fn who_stops_ahead_is_not_run_into() {
+        let flight = Flight {
+            nominal: Vector3::x(),
+            velocity: Vector3::x(),
+        };
+        let mut stopped = neighbour_at(2.0);
+        stopped.growth_hz = -0.5;
+        stopped.sighting_count = 20;
+        let settings = SafetySettings::default();
+        let limit = settings.neighbour_limit(Vector3::x(), &stopped, &flight);
+        let mut flying = stopped;
+        flying.growth_hz = 0.0;
+        let free = settings.neighbour_limit(Vector3::x(), &flying, &flight);
+        let saved_mps = free.unwrap().speed_mps_max - limit.unwrap().speed_mps_max;
+        assert!((saved_mps - 0.8).abs() < 1e-9, "{saved_mps}");
+    }
+
+    proptest! {
+        /// Goal: whatever is around, limits that can be kept are kept. Method: limits that zero
+        /// keeps, since standing still is always possible then.
+        #[test]
+        fn limits_that_standing_still_keeps_are_kept(
+            wanted in (-1.5_f64..1.5, -1.5_f64..1.5, -1.5_f64..1.5),
+            raw in proptest::collection::vec(
+                (-1.0_f64..1.0, -1.0_f64..1.0, -1.0_f64..1.0, 0.05_f64..0.5), 0..12),
+        ) {
+            let limits: Vec<Limit> = raw
+                .iter()
+                .map(|(x, y, z, speed)| (Vector3::new(*x, *y, *z), *speed))
+                .filter(|(direction, _)| direction.norm() > 0.1)
+                .map(|(direction, speed_mps_max)| Limit {
+                    direction: direction.normalize(),
+                    speed_mps_max,
+                })
+                .collect();
+            let wanted = Vector3::new(wanted.0, wanted.1, wanted.2);
+            let velocity = limit(&wanted, &limits);
+            for limit in &limits {
+                prop_assert!(limit.direction.dot(&velocity) < limit.speed_mps_max + 0.05);
+            }
+            prop_assert!(velocity.norm() <= wanted.norm() + 1e-9);
+        }
+
+        #[test]
+        fn what_keeps_all_limits_is_not_changed(speed in 0.0_f64..0.3) {
+            let limits = [Vector3::x(), Vector3::y(), -Vector3::x()].map(|direction| Limit {
+                direction,
+                speed_mps_max: 0.3,
+            });
+            let wanted = Vector3::new(speed, -speed, 1.0);
+            prop_assert_eq!(limit(&wanted, &limits), wanted);
+        }
+    }
+}

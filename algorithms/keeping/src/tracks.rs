@@ -1,0 +1,289 @@
+//! Neighbours over time: sightings are joined frame to frame, smoothed, held, and remembered.
+
+use nalgebra::Vector3;
+
+use crate::bounded::Bounded;
+use crate::sighting::{Range, Sighting};
+
+/// More neighbours than this are not followed; the farthest are left out.
+pub const TRACK_COUNT_MAX: usize = 128;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackSettings {
+    /// Time constant of the low-pass on the logarithm of the range. Shorter passes pixel noise on
+    /// to the command, longer lets a fast neighbour come near before it is noticed.
+    pub smoothing_s: f64,
+    /// A neighbour that is not seen counts as where it was for so long.
+    pub hold_s: f64,
+    /// For so long it is still kept clear of.
+    pub memory_s: f64,
+    /// Nobody moves faster than this against its neighbours.
+    pub relative_speed_mps: f64,
+}
+
+impl Default for TrackSettings {
+    fn default() -> Self {
+        Self {
+            smoothing_s: 0.5,
+            hold_s: 0.3,
+            memory_s: 2.0,
+            relative_speed_mps: 1.0,
+        }
+    }
+}
+
+/// One neighbour.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Track {
+    /// Of length one; level axes that do not turn with the vehicle.
+    pub direction_in_level: Vector3<f64>,
+    /// The newest bounds.
+    pub range: Range,
+    /// Smoothed, once there was a sighting with an expected range.
+    pub range_m: Option<f64>,
+    /// How fast the range grows, relative to it, per second.
+    pub growth_hz: f64,
+    /// Since the last sighting.
+    pub age_s: f64,
+    pub sighting_count: u32,
+    /// The smoothed range of the growth's own filter.
+    pub predicted_log_range: f64,
+}
+
+/// All neighbours that were seen lately.
+#[derive(Clone, Debug)]
+pub struct Tracks {
+    settings: TrackSettings,
+    tracks: Bounded<Track, TRACK_COUNT_MAX>,
+    /// Which tracks a sighting of this frame has been joined to.
+    is_taken: [bool; TRACK_COUNT_MAX],
+}
+
+/// Sightings are joined to a track within this angle of it, at any range.
+const GATE_RAD: f64 = 0.07;
+/// And never beyond this one.
+const GATE_RAD_MAX: f64 = 0.6;
+/// And if the range changed by no more than this in logarithm (the marker vision's own gate).
+const GATE_LOG_RANGE: f64 = 0.5;
+/// Time constant of the range's rate, in time constants of the range.
+const GROWTH_SMOOTHING: f64 = 2.0;
+
+impl Tracks {
+    pub fn new(settings: TrackSettings) -> Self {
+        Self {
+            settings,
+            tracks: Bounded::default(),
+            is_taken: [false; TRACK_COUNT_MAX],
+        }
+    }
+
+    pub fn tracks(&self) -> &[Track] {
+        &self.tracks
+    }
+
+    /// Whether the track may still pull or push.
+    pub fn is_held(&self, track: &Track) -> bool {
+        // A tenth of a step of slack: ages are sums of steps.
+        track.age_s <= self.settings.hold_s + 0.01
+    }
+
+    /// Takes one frame's sightings, in the heading frame.
+    ///
+    /// - `heading_rad`: of the vehicle, about the vertical, from its level axes.
+    /// - `step_s`: since the last frame.
+    pub fn update(&mut self, sightings: &[Sighting], heading_rad: f64, step_s: f64) {
+        for track in self.tracks.iter_mut() {
+            track.age_s += step_s;
+        }
+        let memory_s = self.settings.memory_s;
+        self.tracks.retain(|track| track.age_s <= memory_s + 0.01);
+        self.is_taken = [false; TRACK_COUNT_MAX];
+        let (sin, cos) = heading_rad.sin_cos();
+        let known_count = self.tracks.len();
+        for sighting in sightings {
+            let direction = &sighting.direction;
+            let direction_in_level = Vector3::new(
+                cos * direction.x - sin * direction.y,
+                sin * direction.x + cos * direction.y,
+                direction.z,
+            );
+            match self.nearest(&direction_in_level, &sighting.range, known_count, step_s) {
+                Some(idx) => {
+                    self.is_taken[idx] = true;
+                    let settings = self.settings;
+                    self.tracks[idx].join(direction_in_level, sighting.range, &settings);
+                }
+                None => self.begin(direction_in_level, sighting.range),
+            }
+        }
+    }
+
+    /// The free track among the first `known_count` that fits best.
+    fn nearest(
+        &self,
+        direction_in_level: &Vector3<f64>,
+        range: &Range,
+        known_count: usize,
+        step_s: f64,
+    ) -> Option<usize> {
+        let mut best = None;
+        let mut best_cost = f64::INFINITY;
+        for (idx, track) in self.tracks[..known_count].iter().enumerate() {
+            // Twice the versine: the angle squared, where it is small.
+            let angle_squared = 2.0 * (1.0 - track.direction_in_level.dot(direction_in_level));
+            if angle_squared > GATE_RAD_MAX * GATE_RAD_MAX || self.is_taken[idx] {
+                continue;
+            }
+            let moved_m = self.settings.relative_speed_mps * (track.age_s + step_s);
+            let moved_rad = moved_m / track.range_m.unwrap_or(track.range.low_m).max(0.1);
+            let gate_rad = (GATE_RAD + moved_rad).min(GATE_RAD_MAX);
+            let mut cost = angle_squared / (gate_rad * gate_rad);
+            if let (Some(old_m), Some(new_m)) = (track.range_m, range.expected_m) {
+                let change = (new_m / old_m).ln() / (GATE_LOG_RANGE + moved_rad);
+                cost += change * change;
+            }
+            if cost < 1.0_f64.min(best_cost) {
+                best_cost = cost;
+                best = Some(idx);
+            }
+        }
+        best
+    }
+
+    /// Begins a track; if there is no room, in place of the farthest one.
+    fn begin(&mut self, direction_in_level: Vector3<f64>, range: Range) {
+        let track = Track {
+            direction_in_level,
+            range,
+            range_m: range.expected_m,
+            predicted_log_range: range.expected_m.map_or(0.0, f64::ln),
+            sighting_count: 1,
+            ..Track::default()
+        };
+        let Err(track) = self.tracks.push(track) else {
+            return;
+        };
+        let farthest = self
+            .tracks
+            .iter()
+            .enumerate()
+            .max_by(|(_, left), (_, right)| left.reach_m().total_cmp(&right.reach_m()));
+        if let Some((idx, farthest)) = farthest
+            && farthest.reach_m() > track.reach_m()
+        {
+            self.tracks[idx] = track;
+            self.is_taken[idx] = true;
+        }
+    }
+}
+
+impl Track {
+    fn reach_m(&self) -> f64 {
+        self.range_m.unwrap_or(self.range.low_m)
+    }
+
+    fn join(&mut self, direction_in_level: Vector3<f64>, range: Range, settings: &TrackSettings) {
+        // The age before this sighting is the time since the last one.
+        let elapsed_s = self.age_s;
+        self.direction_in_level = direction_in_level;
+        self.range = range;
+        self.age_s = 0.0;
+        self.sighting_count = self.sighting_count.saturating_add(1);
+        let Some(measured_m) = range.expected_m else {
+            return;
+        };
+        let measured = measured_m.ln();
+        let Some(smoothed_m) = self.range_m else {
+            self.range_m = Some(measured_m);
+            self.predicted_log_range = measured;
+            return;
+        };
+        let gain = 1.0 - (-elapsed_s / settings.smoothing_s).exp();
+        let smoothed = smoothed_m.ln();
+        self.range_m = Some((smoothed + gain * (measured - smoothed)).exp());
+        // An alpha–beta filter beside it, critically damped, gives the rate.
+        let gain = 1.0 - (-elapsed_s / (GROWTH_SMOOTHING * settings.smoothing_s)).exp();
+        let predicted = self.predicted_log_range + self.growth_hz * elapsed_s;
+        let error = measured - predicted;
+        self.predicted_log_range = predicted + gain * (2.0 - gain) * error;
+        if elapsed_s > 0.0 {
+            self.growth_hz += gain * gain * error / elapsed_s;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sighting(azimuth_rad: f64, range_m: f64) -> Sighting {
+        Sighting {
+            direction: Vector3::new(azimuth_rad.cos(), azimuth_rad.sin(), 0.0),
+            range: Range {
+                expected_m: Some(range_m),
+                low_m: 0.9 * range_m,
+                high_m: 1.1 * range_m,
+            },
+        }
+    }
+
+    #[test]
+    fn one_neighbour_stays_one_track_while_the_vehicle_turns() {
+        let mut tracks = Tracks::new(TrackSettings::default());
+        for idx in 0..30 {
+            let heading_rad = 0.1 * f64::from(idx);
+            tracks.update(&[sighting(-heading_rad, 3.0)], heading_rad, 0.1);
+        }
+        assert_eq!(tracks.tracks().len(), 1);
+        assert_eq!(tracks.tracks()[0].sighting_count, 30);
+        assert!((tracks.tracks()[0].direction_in_level - Vector3::x()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_lost_neighbour_is_held_then_remembered_then_forgotten() {
+        let mut tracks = Tracks::new(TrackSettings::default());
+        tracks.update(&[sighting(0.0, 3.0)], 0.0, 0.1);
+        for _ in 0..3 {
+            tracks.update(&[], 0.0, 0.1);
+        }
+        assert!(tracks.is_held(&tracks.tracks()[0]));
+        tracks.update(&[], 0.0, 0.1);
+        assert!(!tracks.is_held(&tracks.tracks()[0]));
+        for _ in 0..16 {
+            tracks.update(&[], 0.0, 0.1);
+        }
+        assert_eq!(tracks.tracks().len(), 1);
+        tracks.update(&[], 0.0, 0.1);
+        assert!(tracks.tracks().is_empty());
+    }
+
+    #[test]
+    fn the_rate_of_a_steady_approach_is_found() {
+        let mut tracks = Tracks::new(TrackSettings::default());
+        for idx in 0..60 {
+            let range_m = 8.0 - 0.05 * f64::from(idx);
+            tracks.update(&[sighting(0.0, range_m)], 0.0, 0.1);
+        }
+        let track = tracks.tracks()[0];
+        let speed_mps = track.growth_hz * track.range_m.unwrap();
+        // The relative rate of a steady approach grows by a tenth a second; the filter lags by one.
+        assert!((speed_mps + 0.5).abs() < 0.1, "{speed_mps}");
+    }
+
+    #[test]
+    fn the_nearest_are_kept_when_there_are_too_many() {
+        let mut tracks = Tracks::new(TrackSettings::default());
+        let crowd: Vec<Sighting> = (0..2 * TRACK_COUNT_MAX)
+            .map(|idx| sighting(0.024 * idx as f64, 9.0 - 0.03 * idx as f64))
+            .collect();
+        tracks.update(&crowd, 0.0, 0.1);
+        assert_eq!(tracks.tracks().len(), TRACK_COUNT_MAX);
+        let limit_m = 9.0 - 0.03 * TRACK_COUNT_MAX as f64 + 1e-9;
+        assert!(
+            tracks
+                .tracks()
+                .iter()
+                .all(|track| track.reach_m() <= limit_m)
+        );
+    }
+}
