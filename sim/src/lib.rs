@@ -9,6 +9,7 @@ mod route;
 mod scenario;
 mod serve;
 pub mod stream;
+pub mod swarm;
 mod world;
 
 pub use conditioner::{Conditioner, Cut, Traffic};

@@ -34,6 +34,7 @@ const LAYERS: [(&str, &[&str]); 12] = [
             "features",
             "geodesy",
             "geometry",
+            "keeping",
             "protocol",
             "registration",
             "sim",
