@@ -1,0 +1,132 @@
+//! Many flights of one scenario, and the numbers over them.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+
+use serde::Serialize;
+
+use super::flight::{FlightRecord, Moment, fly};
+use super::metrics::Mean;
+use super::scenario::Scenario;
+
+/// The names are those of the command line's contract; unknown numbers are `null`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// The share of runs whose distances settled.
+    pub converged: f64,
+    pub settle_s_p50: Option<f64>,
+    pub settle_s_p95: Option<f64>,
+    /// Between all pairs of up to three drones, else to the nearest, at the end.
+    pub spacing_m_p50: Option<f64>,
+    pub min_distance_m: Option<f64>,
+    /// Runs with any pair under half a metre.
+    pub collisions: usize,
+    /// Those of them in which no such pair had seen each other shortly before.
+    pub unseen: usize,
+    /// Drones that touched an obstacle, over all runs.
+    pub hits: usize,
+    pub order: Option<f64>,
+    pub union: Option<f64>,
+    pub safety: Option<f64>,
+    pub nn_mean_m: Option<f64>,
+    pub nn_sd_m: Option<f64>,
+}
+
+/// Flies a scenario `run_count` times on as many threads as there are cores.
+///
+/// The order and the bits of the records do not depend on the threads.
+///
+/// - `watch`: sees every moment of the first run.
+/// - `done`: called after each run.
+pub fn fly_all(
+    scenario: &Scenario,
+    run_count: usize,
+    seed: u64,
+    watch: impl FnMut(&Moment<'_>) + Send,
+    done: impl Fn() + Sync,
+) -> Vec<FlightRecord> {
+    let next_run = AtomicUsize::new(0);
+    let records = Mutex::new(vec![None; run_count]);
+    let watch = Mutex::new(Some(watch));
+    let thread_count = thread::available_parallelism().map_or(1, usize::from);
+    thread::scope(|scope| {
+        for _ in 0..thread_count.min(run_count) {
+            scope.spawn(|| {
+                loop {
+                    let run = next_run.fetch_add(1, Ordering::Relaxed);
+                    if run >= run_count {
+                        break;
+                    }
+                    let run_seed = seed.wrapping_mul(SEED_STRIDE).wrapping_add(run as u64);
+                    let record = if run == 0 {
+                        let watch = watch.lock().unwrap_or_else(PoisonError::into_inner).take();
+                        match watch {
+                            Some(watch) => fly(scenario, run_seed, watch),
+                            None => fly(scenario, run_seed, |_| {}),
+                        }
+                    } else {
+                        fly(scenario, run_seed, |_| {})
+                    };
+                    let mut records = records.lock().unwrap_or_else(PoisonError::into_inner);
+                    records[run] = Some(record);
+                    drop(records);
+                    done();
+                }
+            });
+        }
+    });
+    let records = records.into_inner().unwrap_or_else(PoisonError::into_inner);
+    records.into_iter().flatten().collect()
+}
+
+/// Runs of neighbouring seeds do not overlap up to this number of them.
+const SEED_STRIDE: u64 = 1_000_003;
+
+pub fn summarise(records: &[FlightRecord]) -> Summary {
+    let mut settle_s: Vec<f64> = records.iter().filter_map(|record| record.settle_s).collect();
+    settle_s.sort_by(f64::total_cmp);
+    let mut spacing_m: Vec<f64> = records
+        .iter()
+        .flat_map(|record| record.final_m.iter().copied())
+        .collect();
+    spacing_m.sort_by(f64::total_cmp);
+    let joined = |part: fn(&FlightRecord) -> &Mean| {
+        let mut all = Mean::default();
+        records.iter().for_each(|record| all.join(part(record)));
+        all
+    };
+    let nearest = joined(|record| &record.totals.nearest_m);
+    let count_runs =
+        |is_counted: fn(&FlightRecord) -> bool| records.iter().filter(|r| is_counted(r)).count();
+    let collisions = count_runs(|record| {
+        record.totals.seen_collisions + record.totals.unseen_collisions > 0
+    });
+    let with_seen = count_runs(|record| record.totals.seen_collisions > 0);
+    let min_distance_m = records
+        .iter()
+        .map(|record| record.totals.min_distance_m)
+        .fold(f64::INFINITY, f64::min);
+    Summary {
+        converged: settle_s.len() as f64 / records.len().max(1) as f64,
+        settle_s_p50: percentile(&settle_s, 0.5),
+        settle_s_p95: percentile(&settle_s, 0.95),
+        spacing_m_p50: percentile(&spacing_m, 0.5),
+        min_distance_m: Some(min_distance_m).filter(|value| value.is_finite()),
+        collisions,
+        unseen: collisions - with_seen,
+        hits: records.iter().map(|record| record.totals.hits).sum(),
+        order: joined(|record| &record.totals.order).mean(),
+        union: joined(|record| &record.totals.union).mean(),
+        safety: joined(|record| &record.totals.safety).mean(),
+        nn_mean_m: nearest.mean(),
+        nn_sd_m: nearest.standard_deviation(),
+    }
+}
+
+/// Interpolated between ranks, so that the median of two is their mean.
+pub fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
+    let rank = share * sorted.len().checked_sub(1)? as f64;
+    let (low, high) = (sorted[rank.floor() as usize], sorted[rank.ceil() as usize]);
+    Some(low + (high - low) * rank.fract())
+}
