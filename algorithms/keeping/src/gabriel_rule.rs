@@ -15,8 +15,9 @@ pub struct GabrielSettings {
     /// Speed for a neighbour that is off by [`Self::full_log_ratio`].
     pub gain_mps: f64,
     pub full_log_ratio: f64,
-    /// Farther than preferred by up to this (log ratio) does not pull. Zero lets pixel noise pull.
-    pub slack_log_ratio: f64,
+    /// Nearer or farther than preferred by up to this (log ratio) neither pushes nor pulls. Zero
+    /// lets pixel noise move everybody, more loosens the spacing.
+    pub similar_log_ratio: f64,
     /// All who pull together pull as much as so many who push. More settles faster, and presses
     /// large swarms together.
     pub pull_max: f64,
@@ -31,9 +32,9 @@ impl Default for GabrielSettings {
         Self {
             preferred_m: 3.0,
             preferred_forward_m: 3.9,
-            gain_mps: 0.3,
+            gain_mps: 0.5,
             full_log_ratio: 0.4,
-            slack_log_ratio: 0.1,
+            similar_log_ratio: 0.08,
             pull_max: 1.0,
             correction_mps_max: 0.5,
             reverse_mps_max: 0.1,
@@ -107,11 +108,11 @@ pub fn correction(shell: &Shell, settings: &GabrielSettings) -> Vector3<f64> {
     for neighbour in shell.iter().filter(|neighbour| neighbour.is_first_shell) {
         let preferred_m = settings.preferred_at(&neighbour.direction);
         let log_ratio = (neighbour.range_m / preferred_m).ln();
+        let excess = (log_ratio.abs() - settings.similar_log_ratio).max(0.0);
+        let strength = (excess / settings.full_log_ratio).min(1.0);
         if log_ratio < 0.0 {
-            push += neighbour.direction * (log_ratio / settings.full_log_ratio).max(-1.0);
+            push -= neighbour.direction * strength;
         } else if neighbour.is_link {
-            let excess = (log_ratio - settings.slack_log_ratio).max(0.0);
-            let strength = (excess / settings.full_log_ratio).min(1.0);
             pull += neighbour.direction * strength;
             pull_sum += strength;
         }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::gabriel_rule::{self, GabrielSettings, Shell};
 use crate::paper_rule::Placed;
-use crate::safety::{self, Flight, Limits, OBSTACLE_COUNT_MAX, Obstacle, SafetySettings};
+use crate::safety::{self, Flight, Limit, Limits, OBSTACLE_COUNT_MAX, Obstacle, SafetySettings};
 use crate::sighting::Sighting;
 use crate::tracks::{TrackSettings, Tracks};
 use crate::view::{Coverage, FieldOfView};
@@ -25,6 +25,8 @@ pub struct KeeperSettings {
     pub tracks: TrackSettings,
     pub safety: SafetySettings,
     pub heading: HeadingRule,
+    /// How much of a correction turns the heading. At one the heading swings, at zero it stays.
+    pub alignment: f64,
     /// Time constant of the correction's low-pass. Shorter jerks, longer overshoots.
     pub smoothing_s: f64,
     /// A direction that was not covered for so long is not flown into.
@@ -42,6 +44,7 @@ impl Default for KeeperSettings {
             tracks: TrackSettings::default(),
             safety: SafetySettings::default(),
             heading: HeadingRule::default(),
+            alignment: 0.2,
             smoothing_s: 0.3,
             coverage_s: 2.0,
             sighting_count_min: 2,
@@ -112,10 +115,11 @@ impl Keeper {
             nominal: Vector3::x() * perception.nominal_mps,
             velocity: perception.velocity,
         };
-        let wanted = self.correct(heading_rad);
-        let correction = self.smooth(&wanted, heading_rad, step_s);
+        let freedom = Freedom::of(&self.coverage, heading_rad);
+        let wanted = freedom.part_of(self.correct(heading_rad));
+        let correction = freedom.part_of(self.smooth(&wanted, heading_rad, step_s));
         let detour = self.detour(&flight.nominal, perception.obstacles);
-        self.collect_limits(perception, &flight);
+        self.collect_limits(perception, &flight, &freedom);
         let limited = safety::limit(&(detour + correction), &self.limits);
         let velocity = self
             .coverage
@@ -126,7 +130,7 @@ impl Keeper {
         }
     }
 
-    /// The rule's correction, heading frame, without what points where nobody looked.
+    /// The rule's correction, heading frame.
     fn correct(&mut self, heading_rad: f64) -> Vector3<f64> {
         let tracks = &self.tracks;
         let sighting_count_min = self.settings.sighting_count_min;
@@ -138,14 +142,7 @@ impl Keeper {
             })
         });
         gabriel_rule::select(placed, &mut self.shell);
-        let correction = gabriel_rule::correction(&self.shell, &self.settings.rule);
-        // Relative to the swarm it is the correction that closes in. Backwards is the rule's own
-        // affair: who flies behind sees us and leaves room for that.
-        let mut ahead = correction;
-        ahead.x = ahead.x.max(0.0);
-        let mut covered = self.coverage.clamp(&ahead, heading_rad);
-        covered.x += correction.x.min(0.0);
-        covered
+        gabriel_rule::correction(&self.shell, &self.settings.rule)
     }
 
     fn smooth(&mut self, wanted: &Vector3<f64>, heading_rad: f64, step_s: f64) -> Vector3<f64> {
@@ -183,12 +180,18 @@ impl Keeper {
         (ahead + aside).normalize() * speed_mps
     }
 
-    fn collect_limits(&mut self, perception: &Perception<'_>, flight: &Flight) {
+    fn collect_limits(
+        &mut self,
+        perception: &Perception<'_>,
+        flight: &Flight,
+        freedom: &Freedom,
+    ) {
         self.limits.clear();
         let safety = &self.settings.safety;
         for track in self.tracks.tracks() {
             let direction = turned_by(&track.direction_in_level, -perception.heading_rad);
-            if let Some(limit) = safety.neighbour_limit(direction, track, flight) {
+            let limit = safety.neighbour_limit(direction, track, flight);
+            if let Some(limit) = limit.and_then(|limit| freedom.kept_by(&limit)) {
                 // Room for all tracks and obstacles is reserved.
                 let _ = self.limits.push(limit);
             }
@@ -219,7 +222,7 @@ impl Keeper {
         match self.settings.heading {
             HeadingRule::Held => heading_rad,
             HeadingRule::Aligned => {
-                let turned = nominal + correction * step_s;
+                let turned = nominal + correction * (self.settings.alignment * step_s);
                 if turned.x.hypot(turned.y) > 1e-6 {
                     heading_rad + turned.y.atan2(turned.x)
                 } else {
@@ -227,6 +230,60 @@ impl Keeper {
                 }
             }
         }
+    }
+}
+
+/// Along which axes of the heading frame the vehicle may move against the swarm.
+///
+/// A neighbour beside us moves too. If everybody leaves the axes alone along which he does not
+/// look, whatever two of them do, one of them looks along their relative motion. Backward is free:
+/// who flies behind sees us, and leaves room for the slow backing that the rule allows.
+struct Freedom {
+    forward: bool,
+    left: bool,
+    right: bool,
+    up: bool,
+    down: bool,
+}
+
+/// What is left of a limit's direction along free axes; with less it cannot be kept.
+const FREE_SHARE_MIN: f64 = 0.1;
+
+impl Freedom {
+    fn of(coverage: &Coverage, heading_rad: f64) -> Self {
+        let covers = |direction: Vector3<f64>| coverage.covers(&direction, heading_rad);
+        Self {
+            forward: covers(Vector3::x()),
+            left: covers(Vector3::y()),
+            right: covers(-Vector3::y()),
+            up: covers(Vector3::z()),
+            down: covers(-Vector3::z()),
+        }
+    }
+
+    fn part_of(&self, motion: Vector3<f64>) -> Vector3<f64> {
+        let free = |value: f64, up: bool, down: bool| {
+            if if value > 0.0 { up } else { down } {
+                value
+            } else {
+                0.0
+            }
+        };
+        Vector3::new(
+            free(motion.x, self.forward, true),
+            free(motion.y, self.left, self.right),
+            free(motion.z, self.up, self.down),
+        )
+    }
+
+    /// The limit as motion along free axes keeps it.
+    fn kept_by(&self, limit: &Limit) -> Option<Limit> {
+        let free = -self.part_of(-limit.direction);
+        let share = free.norm();
+        (share >= FREE_SHARE_MIN).then(|| Limit {
+            direction: free / share,
+            speed_mps_max: limit.speed_mps_max / share,
+        })
     }
 }
 

@@ -64,6 +64,8 @@ const SLACK_MPS: f64 = 1e-9;
 const MUTUAL_SHARE: f64 = 0.5;
 /// Within 30° of ahead we are in the other's blind rear: `cos 30°`, about the vertical.
 const AHEAD_TAN: f64 = 0.577_350_269_189_625_8;
+/// A rate counts beyond so many standard deviations.
+const RATE_SIGMA_COUNT: f64 = 4.0;
 /// Rates of younger tracks are not used.
 const RATE_SIGHTING_COUNT_MIN: u32 = 8;
 
@@ -125,7 +127,8 @@ impl SafetySettings {
         }
         let its_mps = direction.dot(&flight.velocity) + track.growth_hz * range_m;
         let slower_mps = direction.dot(&flight.nominal) - its_mps;
-        (slower_mps - self.slower_mps_min).clamp(0.0, 2.0)
+        let noise_mps = RATE_SIGMA_COUNT * track.growth_sigma_hz() * range_m;
+        (slower_mps - self.slower_mps_min - noise_mps).clamp(0.0, 2.0)
     }
 
     pub fn obstacle_limit(&self, obstacle: &Obstacle) -> Limit {

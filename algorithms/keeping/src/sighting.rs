@@ -23,9 +23,11 @@ pub struct Range {
     pub high_m: f64,
 }
 
-/// How the two lights of a vehicle are mounted.
+/// How the lights of a vehicle are mounted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Baseline {
+    /// Three or more lights: from every side two of them show the full distance.
+    AllRound,
     /// One above the other: seen at full length from all around, shortened from above and below.
     #[default]
     Vertical,
@@ -106,6 +108,7 @@ impl MarkerModel {
     /// The share of the baseline's length across the line of sight: smallest, expected, largest.
     fn foreshortening(&self, direction: &Vector3<f64>) -> [f64; 3] {
         let (along, tolerance_rad) = match self.baseline {
+            Baseline::AllRound => return [1.0; 3],
             Baseline::Vertical => (direction.z, self.tilt_rad_max),
             Baseline::Horizontal => (direction.y, self.heading_difference_rad_max),
         };

@@ -68,6 +68,10 @@ const GATE_LOG_RANGE: f64 = 0.5;
 /// Time constant of the range's rate, in time constants of the range.
 const GROWTH_SMOOTHING: f64 = 2.0;
 
+/// Bounds are six standard deviations wide, of which the alpha–beta filter below leaves 0.16 per
+/// second in the rate.
+const RATE_OF_WIDTH_HZ: f64 = 0.16 / 6.0;
+
 impl Tracks {
     pub fn new(settings: TrackSettings) -> Self {
         Self {
@@ -178,6 +182,12 @@ impl Tracks {
 }
 
 impl Track {
+    /// Standard deviation of [`Self::growth_hz`] from the width of the newest bounds.
+    pub fn growth_sigma_hz(&self) -> f64 {
+        let log_width = (self.range.high_m / self.range.low_m.max(1e-3)).ln();
+        RATE_OF_WIDTH_HZ * log_width
+    }
+
     fn reach_m(&self) -> f64 {
         self.range_m.unwrap_or(self.range.low_m)
     }

@@ -88,6 +88,15 @@ struct Glance {
     age_s: f64,
 }
 
+impl Glance {
+    /// The wedge in the heading frame of another heading.
+    fn seen_from(&self, heading_rad: f64) -> FieldOfView {
+        let mut view = self.view;
+        view.azimuth_rad += self.heading_rad - heading_rad;
+        view
+    }
+}
+
 /// When a turning vehicle has looked in more directions, the oldest are forgotten.
 const GLANCE_COUNT_MAX: usize = 48;
 /// Headings that differ by less are the same glance.
@@ -133,14 +142,20 @@ impl Coverage {
         }
     }
 
+    /// Whether a direction in the heading frame was looked at lately.
+    pub fn covers(&self, direction: &Vector3<f64>, heading_rad: f64) -> bool {
+        self.glances
+            .iter()
+            .any(|glance| glance.seen_from(heading_rad).contains(direction))
+    }
+
     /// The part of a velocity in the heading frame that points where was looked lately; all of it
     /// if it does, nothing if nobody looks.
     pub fn clamp(&self, velocity: &Vector3<f64>, heading_rad: f64) -> Vector3<f64> {
         let mut best = Vector3::zeros();
         let mut best_along = 0.0;
         for glance in self.glances.iter() {
-            let mut view = glance.view;
-            view.azimuth_rad += glance.heading_rad - heading_rad;
+            let view = glance.seen_from(heading_rad);
             if view.contains(velocity) {
                 return *velocity;
             }

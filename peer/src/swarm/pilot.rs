@@ -49,6 +49,7 @@ impl Cockpit {
         Self {
             markers: MarkerModel {
                 baseline: match sensing.baseline {
+                    LightBaseline::AllRound => Baseline::AllRound,
                     LightBaseline::Vertical => Baseline::Vertical,
                     LightBaseline::Horizontal => Baseline::Horizontal,
                 },

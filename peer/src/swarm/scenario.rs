@@ -121,7 +121,7 @@ macro_rules! numbers {
     };
 }
 
-const NUMBERS: [Setting; 22] = numbers! {
+const NUMBERS: [Setting; 23] = numbers! {
     "duration_s", "10 to 3600 s", 10.0..=3600.0, |s, v| s.duration_s = v;
     "latency_s", "0 to 5 s", 0.0..=5.0, |s, v| s.swarm.sensing.latency_s = v;
     "lag_s", "0 to 5 s", 0.0..=5.0, |s, v| s.swarm.lag_s = v;
@@ -147,9 +147,13 @@ const NUMBERS: [Setting; 22] = numbers! {
         // A common heading has to emerge.
         s.keeper.heading = if v > 0.0 { HeadingRule::Aligned } else { HeadingRule::Held };
     };
-    "similar_log_ratio", "0 to 1", 0.0..=1.0, |s, v| s.paper.similar_log_ratio = v;
+    "similar_log_ratio", "0 to 1", 0.0..=1.0, |s, v| {
+        s.paper.similar_log_ratio = v;
+        s.keeper.rule.similar_log_ratio = v;
+    };
+    "full_log_ratio", "0.01 to 5", 0.01..=5.0, |s, v| s.keeper.rule.full_log_ratio = v;
+    "alignment", "0 to 1", 0.0..=1.0, |s, v| s.keeper.alignment = v;
     "pull_max", "0 to 10", 0.0..=10.0, |s, v| s.keeper.rule.pull_max = v;
-    "slack_log_ratio", "0 to 1", 0.0..=1.0, |s, v| s.keeper.rule.slack_log_ratio = v;
     "gain_mps", "0 to 2 m/s", 0.0..=2.0, |s, v| s.keeper.rule.gain_mps = v;
     "preferred_m", "1 to 50 m", 1.0..=50.0, |s, v| {
         s.paper.preferred_m = v;
@@ -165,10 +169,11 @@ const NUMBERS: [Setting; 22] = numbers! {
 
 const BASELINE: Setting = Setting {
     name: "marker_baseline",
-    expected: "vertical or horizontal",
+    expected: "all_round, vertical or horizontal",
     apply: |scenario, text| {
         let sensing = &mut scenario.swarm.sensing;
         sensing.baseline = match text {
+            "all_round" => LightBaseline::AllRound,
             "vertical" => LightBaseline::Vertical,
             "horizontal" => LightBaseline::Horizontal,
             _ => return None,
@@ -177,8 +182,8 @@ const BASELINE: Setting = Setting {
     },
 };
 
-const SETTINGS: [&Setting; 23] = {
-    let mut settings = [&BASELINE; 23];
+const SETTINGS: [&Setting; 24] = {
+    let mut settings = [&BASELINE; 24];
     let mut idx = 0;
     while idx < NUMBERS.len() {
         settings[idx] = &NUMBERS[idx];

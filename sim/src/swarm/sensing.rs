@@ -7,11 +7,13 @@ use rand_distr::StandardNormal;
 
 use super::{BODY_RADIUS_M, Swarm, turned};
 
-/// How the two lights of a drone are mounted.
+/// How the lights of a drone are mounted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LightBaseline {
-    /// One above the other.
+    /// Three or more: from every side two of them show the full distance.
     #[default]
+    AllRound,
+    /// One above the other.
     Vertical,
     /// Side by side, along the left axis.
     Horizontal,
@@ -107,6 +109,7 @@ impl Swarm {
             }
             let unit = seen.offset / seen.distance_m;
             let across = match sensing.baseline {
+                LightBaseline::AllRound => 1.0,
                 LightBaseline::Vertical => unit.x.hypot(unit.y),
                 LightBaseline::Horizontal => {
                     let axis = turned(&Vector3::y(), scene.headings_rad[seen.target]);
