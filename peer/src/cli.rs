@@ -8,6 +8,7 @@ mod register;
 mod run;
 mod sim;
 mod slam;
+mod swarm;
 mod team;
 
 use std::process::ExitCode;
@@ -65,6 +66,8 @@ enum Command {
     /// Ask the network for maps.
     #[command(subcommand)]
     Map(map::MapCommand),
+    /// Swarm-keeping by sight, simulated many times over.
+    Swarm(swarm::SwarmArguments),
     /// The simulator's process, started by `demo`.
     #[command(hide = true)]
     Sim(sim::SimArguments),
@@ -105,6 +108,7 @@ fn dispatch(command: Command, matches: &ArgMatches) -> anyhow::Result<Exit> {
         }
         Command::Register(arguments) => register::run(&arguments),
         Command::Map(command) => map::run(&command),
+        Command::Swarm(arguments) => swarm::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Later(command) => later::run(&command),
     }

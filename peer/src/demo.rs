@@ -12,6 +12,7 @@ use sim::{Cut, ScenarioName, VehicleDescription};
 
 use crate::config::{CameraConfig, EstimationConfig, PositionConfig, VehicleConfig};
 use crate::files::create_folder;
+use crate::plot::Picture;
 use crate::process::VehicleSummary;
 use crate::process::control::Report;
 use crate::process::interrupt::{self, Interrupted};

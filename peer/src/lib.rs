@@ -13,4 +13,5 @@ pub mod position;
 pub mod process;
 pub mod recorder;
 pub mod store;
+pub mod swarm;
 pub mod team;

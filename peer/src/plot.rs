@@ -1,7 +1,9 @@
-//! Pictures of maps and trajectories: seen from above and from the side, in metres.
+//! Pictures of maps and trajectories, seen from above and from the side in metres, and of values
+//! over time.
 
 mod axis;
 mod canvas;
+mod chart;
 mod figure;
 mod font;
 mod raster;
@@ -16,7 +18,8 @@ use crate::files::FileError;
 use raster::RasterCanvas;
 use svg::SvgCanvas;
 
-pub use canvas::Color;
+pub use canvas::{Canvas, Color};
+pub use chart::{Chart, ChartPanel, Curve};
 
 /// One cloud or trajectory of a picture.
 #[derive(Clone, Debug)]
@@ -117,23 +120,27 @@ impl Realignment {
     }
 }
 
-impl Plot {
-    pub fn to_svg(&self) -> String {
+/// Something that can be drawn.
+pub trait Picture {
+    /// Draws everything and gives the width and height in pixels.
+    fn draw(&self, canvas: &mut impl Canvas) -> [f64; 2];
+
+    fn to_svg(&self) -> String {
         let mut canvas = SvgCanvas::default();
-        let size_px = figure::draw(self, &mut canvas);
+        let size_px = self.draw(&mut canvas);
         canvas.finish(size_px)
     }
 
-    pub fn to_png(&self) -> Vec<u8> {
+    fn to_png(&self) -> Vec<u8> {
         // The size follows from the content, so the first pass only measures.
-        let size_px = figure::draw(self, &mut SvgCanvas::default());
+        let size_px = self.draw(&mut SvgCanvas::default());
         let mut canvas = RasterCanvas::new(size_px);
-        figure::draw(self, &mut canvas);
+        self.draw(&mut canvas);
         canvas.finish()
     }
 
     /// Writes PNG or SVG, as the name says.
-    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+    fn write(&self, path: &Path) -> Result<(), FileError> {
         let bytes = match PictureFormat::of(path)? {
             PictureFormat::Svg => self.to_svg().into_bytes(),
             PictureFormat::Png => self.to_png(),
@@ -142,6 +149,12 @@ impl Plot {
             error,
             path: path.to_owned(),
         })
+    }
+}
+
+impl Picture for Plot {
+    fn draw(&self, canvas: &mut impl Canvas) -> [f64; 2] {
+        figure::draw(self, canvas)
     }
 }
 

@@ -4,12 +4,17 @@
 //! velocities, and neither knows the other.
 
 mod campaign;
+pub mod figures;
 mod flight;
+mod following;
 mod graph;
 mod metrics;
 mod pilot;
 mod scenario;
+mod trace;
 
 pub use campaign::{Summary, fly_all, summarise};
 pub use flight::{FlightRecord, Moment, fly};
+pub use following::{FollowingMoment, FollowingSettings, follow};
 pub use scenario::{RuleName, Scenario, SensingName, SettingError};
+pub use trace::Trace;

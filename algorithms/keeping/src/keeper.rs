@@ -134,11 +134,14 @@ impl Keeper {
     fn correct(&mut self, heading_rad: f64) -> Vector3<f64> {
         let tracks = &self.tracks;
         let sighting_count_min = self.settings.sighting_count_min;
+        let far_m_min = FAR_SHARE * self.settings.rule.preferred_m;
         let placed = tracks.tracks().iter().filter_map(|track| {
             let is_usable = tracks.is_held(track) && track.sighting_count >= sighting_count_min;
+            // Lights that merged because they are far away pull from their smallest range.
+            let far_m = Some(track.range.low_m).filter(|low_m| *low_m >= far_m_min);
             Some(Placed {
                 direction: turned_by(&track.direction_in_level, -heading_rad),
-                range_m: track.range_m.filter(|_| is_usable)?,
+                range_m: track.range_m.or(far_m).filter(|_| is_usable)?,
             })
         });
         gabriel_rule::select(placed, &mut self.shell);
@@ -180,12 +183,7 @@ impl Keeper {
         (ahead + aside).normalize() * speed_mps
     }
 
-    fn collect_limits(
-        &mut self,
-        perception: &Perception<'_>,
-        flight: &Flight,
-        freedom: &Freedom,
-    ) {
+    fn collect_limits(&mut self, perception: &Perception<'_>, flight: &Flight, freedom: &Freedom) {
         self.limits.clear();
         let safety = &self.settings.safety;
         for track in self.tracks.tracks() {
@@ -287,6 +285,8 @@ impl Freedom {
     }
 }
 
+/// Merged lights are far if they are farther than this times the preferred distance.
+const FAR_SHARE: f64 = 1.5;
 /// An obstacle that is passed at this clearance needs no detour.
 const PASSING_M: f64 = 1.5;
 const DETOUR_GAIN: f64 = 1.5;

@@ -64,6 +64,8 @@ const SLACK_MPS: f64 = 1e-9;
 const MUTUAL_SHARE: f64 = 0.5;
 /// Within 30° of ahead we are in the other's blind rear: `cos 30°`, about the vertical.
 const AHEAD_TAN: f64 = 0.577_350_269_189_625_8;
+/// Faster than this is an error of the rate.
+const SLOWER_MPS_MAX: f64 = 2.0;
 /// A rate counts beyond so many standard deviations.
 const RATE_SIGMA_COUNT: f64 = 4.0;
 /// Rates of younger tracks are not used.
@@ -128,7 +130,10 @@ impl SafetySettings {
         let its_mps = direction.dot(&flight.velocity) + track.growth_hz * range_m;
         let slower_mps = direction.dot(&flight.nominal) - its_mps;
         let noise_mps = RATE_SIGMA_COUNT * track.growth_sigma_hz() * range_m;
-        (slower_mps - self.slower_mps_min - noise_mps).clamp(0.0, 2.0)
+        let threshold_mps = self.slower_mps_min + noise_mps;
+        // Fades in over as much again: beyond that all of it counts, or the rest closes in.
+        let certainty = ((slower_mps - threshold_mps) / threshold_mps).clamp(0.0, 1.0);
+        slower_mps.min(SLOWER_MPS_MAX) * certainty
     }
 
     pub fn obstacle_limit(&self, obstacle: &Obstacle) -> Limit {
@@ -216,7 +221,7 @@ mod tests {
         flying.growth_hz = 0.0;
         let free = settings.neighbour_limit(Vector3::x(), &flying, &flight);
         let saved_mps = free.unwrap().speed_mps_max - limit.unwrap().speed_mps_max;
-        assert!((saved_mps - 0.8).abs() < 1e-9, "{saved_mps}");
+        assert!((saved_mps - 1.0).abs() < 1e-9, "{saved_mps}");
     }
 
     proptest! {

@@ -24,8 +24,6 @@ pub enum LaterCommand {
     Config(Anything),
     /// Find out what is wrong (not built yet).
     Doctor(Anything),
-    /// Swarm-keeping Monte Carlo (not built yet).
-    Swarm(Anything),
     /// Find marker pairs in images (not built yet).
     Markers(Anything),
     /// Repeat the paper's experiments (not built yet).
@@ -49,7 +47,6 @@ pub fn run(command: &LaterCommand) -> anyhow::Result<Exit> {
         LaterCommand::Calibrate(_) => "calibrate",
         LaterCommand::Config(_) => "config check",
         LaterCommand::Doctor(_) => "doctor",
-        LaterCommand::Swarm(_) => "swarm",
         LaterCommand::Markers(_) => "markers",
         LaterCommand::Reproduce(_) => "reproduce",
     };

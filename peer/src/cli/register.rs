@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::{Exit, UsageError, output};
 use crate::files;
-use crate::plot::{Color, Layer, Mark, Plot, check_picture_name};
+use crate::plot::{Color, Layer, Mark, Picture, Plot, check_picture_name};
 
 #[derive(clap::Args)]
 pub struct RegisterArguments {

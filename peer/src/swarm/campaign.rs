@@ -17,7 +17,8 @@ pub struct Summary {
     pub converged: f64,
     pub settle_s_p50: Option<f64>,
     pub settle_s_p95: Option<f64>,
-    /// Between all pairs of up to three drones, else to the nearest, at the end.
+    /// At the end; the median over runs of each run's median over pairs of up to three drones,
+    /// else of the mean distance to the nearest.
     pub spacing_m_p50: Option<f64>,
     pub min_distance_m: Option<f64>,
     /// Runs with any pair under half a metre.
@@ -84,11 +85,18 @@ pub fn fly_all(
 const SEED_STRIDE: u64 = 1_000_003;
 
 pub fn summarise(records: &[FlightRecord]) -> Summary {
-    let mut settle_s: Vec<f64> = records.iter().filter_map(|record| record.settle_s).collect();
+    let mut settle_s: Vec<f64> = records
+        .iter()
+        .filter_map(|record| record.settle_s)
+        .collect();
     settle_s.sort_by(f64::total_cmp);
     let mut spacing_m: Vec<f64> = records
         .iter()
-        .flat_map(|record| record.final_m.iter().copied())
+        .filter_map(|record| {
+            let mut distances_m = record.final_m.clone();
+            distances_m.sort_by(f64::total_cmp);
+            percentile(&distances_m, 0.5)
+        })
         .collect();
     spacing_m.sort_by(f64::total_cmp);
     let joined = |part: fn(&FlightRecord) -> &Mean| {
@@ -99,9 +107,8 @@ pub fn summarise(records: &[FlightRecord]) -> Summary {
     let nearest = joined(|record| &record.totals.nearest_m);
     let count_runs =
         |is_counted: fn(&FlightRecord) -> bool| records.iter().filter(|r| is_counted(r)).count();
-    let collisions = count_runs(|record| {
-        record.totals.seen_collisions + record.totals.unseen_collisions > 0
-    });
+    let collisions =
+        count_runs(|record| record.totals.seen_collisions + record.totals.unseen_collisions > 0);
     let with_seen = count_runs(|record| record.totals.seen_collisions > 0);
     let min_distance_m = records
         .iter()

@@ -70,7 +70,7 @@ pub fn fly(scenario: &Scenario, seed: u64, mut watch: impl FnMut(&Moment<'_>)) -
             swarm.advance(&steering);
         }
     }
-    let reach_m = scenario.swarm.sensing.visible_m;
+    let reach_m = scenario.swarm.sensing.bright_m;
     let curves = curves.0;
     let final_m: Vec<f64> = curves.iter().map(|curve| end_of(curve)).collect();
     FlightRecord {

@@ -49,7 +49,9 @@ pub fn connectivity(positions: &[Vector3<f64>], reach_m: f64) -> f64 {
         .collect();
     let shift = 2.0 * neighbours.iter().map(Vec::len).max().unwrap_or(0) as f64;
     // Anything that is not constant, and nowhere symmetric.
-    let mut vector: Vec<f64> = (0..count).map(|idx| (1.7 * idx as f64 + 0.3).sin()).collect();
+    let mut vector: Vec<f64> = (0..count)
+        .map(|idx| (1.7 * idx as f64 + 0.3).sin())
+        .collect();
     let mut eigenvalue = 0.0;
     for _ in 0..ITERATION_COUNT {
         let mean = vector.iter().sum::<f64>() / count as f64;
@@ -66,7 +68,11 @@ pub fn connectivity(positions: &[Vector3<f64>], reach_m: f64) -> f64 {
                 (shift - degree) * vector[own] + sum
             })
             .collect();
-        eigenvalue = vector.iter().zip(&next).map(|(left, right)| left * right).sum();
+        eigenvalue = vector
+            .iter()
+            .zip(&next)
+            .map(|(left, right)| left * right)
+            .sum();
         vector = next;
     }
     ((shift - eigenvalue) / count as f64).clamp(0.0, 1.0)

@@ -78,7 +78,11 @@ impl Mean {
 
     pub fn standard_deviation(&self) -> Option<f64> {
         let mean = self.mean()?;
-        Some((self.sum_squared / self.count - mean * mean).max(0.0).sqrt())
+        Some(
+            (self.sum_squared / self.count - mean * mean)
+                .max(0.0)
+                .sqrt(),
+        )
     }
 }
 
@@ -94,7 +98,7 @@ impl Meter {
         let drone_count = swarm.positions().len();
         Self {
             drone_count,
-            reach_m: swarm.settings().sensing.visible_m,
+            reach_m: swarm.settings().sensing.bright_m,
             nominal_mps: swarm.settings().speed_mps,
             step_count: 0,
             tail_start,

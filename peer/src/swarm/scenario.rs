@@ -62,6 +62,7 @@ impl Scenario {
                 missed: 0.1,
                 separation_px_min: 2.0,
                 occlusion: true,
+                bright_m: 14.0,
                 ..SensingSettings::default()
             };
         }
@@ -134,6 +135,7 @@ const NUMBERS: [Setting; 23] = numbers! {
         |s, v| s.swarm.sensing.azimuth_rad_max = v.to_radians();
     "visible_m", "1 to 100 m", 1.0..=100.0, |s, v| {
         s.swarm.sensing.visible_m = v;
+        s.swarm.sensing.bright_m = s.swarm.sensing.bright_m.max(v);
         s.paper.visible_m = v;
     };
     "separation_px_min", "0 to 20 px", 0.0..=20.0,
@@ -219,9 +221,8 @@ mod tests {
     #[test]
     fn wrong_settings_say_what_is_right() {
         let mut scenario = scenario();
-        let message = |scenario: &mut Scenario, text: &str| {
-            scenario.set(text).unwrap_err().to_string()
-        };
+        let message =
+            |scenario: &mut Scenario, text: &str| scenario.set(text).unwrap_err().to_string();
         assert!(message(&mut scenario, "latency").contains("NAME=VALUE"));
         assert!(message(&mut scenario, "lateness=1").contains("latency_s"));
         assert!(message(&mut scenario, "missed=2").contains("a share from 0 to 1"));

@@ -34,8 +34,12 @@ pub struct SensingSettings {
     pub baseline: LightBaseline,
     /// Lights that are nearer to each other than this merge.
     pub separation_px_min: f64,
-    /// Farther away nothing is seen.
+    /// Farther away lights merge in any case.
     pub visible_m: f64,
+    /// And beyond this they are too dim.
+    pub bright_m: f64,
+    /// No more than this many lights are found in a frame, the nearest.
+    pub light_count_max: usize,
     /// Cameras cover this to either side of ahead.
     pub azimuth_rad_max: f64,
     /// And this above and below.
@@ -58,6 +62,8 @@ impl Default for SensingSettings {
             baseline: LightBaseline::default(),
             separation_px_min: 0.0,
             visible_m: 9.0,
+            bright_m: 9.0,
+            light_count_max: 64,
             azimuth_rad_max: 150_f64.to_radians(),
             elevation_rad_max: std::f64::consts::FRAC_PI_2,
             occlusion: false,
@@ -122,7 +128,9 @@ impl Swarm {
             glimpses.push(Glimpse {
                 target: Some(seen.target),
                 direction: blurred(&direction, &sensing, &mut self.rng),
-                separation_px: Some(noisy_px).filter(|px| *px >= sensing.separation_px_min),
+                separation_px: Some(noisy_px).filter(|px| {
+                    *px >= sensing.separation_px_min && seen.distance_m <= sensing.visible_m
+                }),
             });
         }
         if sensing.false_lights > 0.0 && self.rng.random::<f64>() < sensing.false_lights {
@@ -141,7 +149,7 @@ impl Swarm {
         for (target, position) in scene.positions.iter().enumerate() {
             let offset = position - own;
             let distance_squared = offset.norm_squared();
-            if distance_squared > sensing.visible_m * sensing.visible_m
+            if distance_squared > sensing.bright_m * sensing.bright_m
                 || target == observer
                 || distance_squared == 0.0
             {
@@ -164,7 +172,13 @@ impl Swarm {
                 distance_m: distance_squared.sqrt(),
             });
         }
-        nearby.sort_by(|left, right| left.distance_m.total_cmp(&right.distance_m));
+        let by_distance =
+            |left: &Nearby, right: &Nearby| left.distance_m.total_cmp(&right.distance_m);
+        if nearby.len() > sensing.light_count_max {
+            nearby.select_nth_unstable_by(sensing.light_count_max, by_distance);
+            nearby.truncate(sensing.light_count_max);
+        }
+        nearby.sort_by(by_distance);
     }
 }
 

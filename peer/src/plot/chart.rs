@@ -1,0 +1,216 @@
+//! Values over time, panel below panel.
+
+use super::Picture;
+use super::axis::Range;
+use super::canvas::{Anchor, Canvas, Color, Frame};
+
+/// A picture of panels that share nothing but their width.
+#[derive(Clone, Debug)]
+pub struct Chart {
+    pub title: String,
+    pub panels: Vec<ChartPanel>,
+}
+
+#[derive(Clone, Debug)]
+pub struct ChartPanel {
+    pub title: String,
+    /// Quantity and unit, such as `time [s]`.
+    pub across_label: String,
+    pub upward_label: String,
+    /// Later curves lie over earlier ones.
+    pub curves: Vec<Curve>,
+}
+
+#[derive(Clone, Debug)]
+pub struct Curve {
+    /// Stands in the legend, unless it is empty.
+    pub name: String,
+    pub color: Color,
+    pub width_px: f64,
+    /// Across and upward. The line is broken where a value is not finite.
+    pub points: Vec<[f64; 2]>,
+}
+
+const WIDTH_PX: f64 = 1100.0;
+const MARGIN_LEFT_PX: f64 = 80.0;
+const MARGIN_RIGHT_PX: f64 = 30.0;
+const TITLE_HEIGHT_PX: f64 = 44.0;
+const PANEL_TITLE_PX: f64 = 30.0;
+const PANEL_HEIGHT_PX: f64 = 300.0;
+const AXIS_HEIGHT_PX: f64 = 60.0;
+const LEGEND_ENTRY_PX: f64 = 150.0;
+const PADDING_SHARE: f64 = 0.04;
+
+impl Picture for Chart {
+    fn draw(&self, canvas: &mut impl Canvas) -> [f64; 2] {
+        canvas.text([MARGIN_LEFT_PX, 26.0], Anchor::Start, &self.title);
+        let mut top = TITLE_HEIGHT_PX;
+        for panel in &self.panels {
+            let frame = Frame {
+                left: MARGIN_LEFT_PX,
+                top: top + PANEL_TITLE_PX,
+                width: WIDTH_PX - MARGIN_LEFT_PX - MARGIN_RIGHT_PX,
+                height: PANEL_HEIGHT_PX,
+            };
+            panel.draw(frame, canvas);
+            top = frame.top + frame.height + AXIS_HEIGHT_PX;
+        }
+        [WIDTH_PX, top]
+    }
+}
+
+impl ChartPanel {
+    fn draw(&self, frame: Frame, canvas: &mut impl Canvas) {
+        let title_at = [frame.left, frame.top - 9.0];
+        canvas.text(title_at, Anchor::Start, &self.title);
+        self.draw_legend(&frame, canvas);
+        let axes = Axes {
+            frame,
+            across: self.range(0, 0.0),
+            upward: self.range(1, PADDING_SHARE),
+        };
+        axes.draw(&self.across_label, &self.upward_label, canvas);
+        for curve in &self.curves {
+            let is_finite = |point: &[f64; 2]| point.iter().all(|value| value.is_finite());
+            for piece in curve.points.split(|point| !is_finite(point)) {
+                let line: Vec<[f64; 2]> = piece.iter().map(|point| axes.place(*point)).collect();
+                canvas.line(&line, curve.color, curve.width_px, Some(&axes.frame));
+            }
+        }
+    }
+
+    /// From the right border leftward, on the line of the title.
+    fn draw_legend(&self, frame: &Frame, canvas: &mut impl Canvas) {
+        let mut left = frame.left + frame.width;
+        for curve in self
+            .curves
+            .iter()
+            .rev()
+            .filter(|curve| !curve.name.is_empty())
+        {
+            left -= LEGEND_ENTRY_PX;
+            let y = frame.top - 14.0;
+            canvas.line(&[[left, y], [left + 24.0, y]], curve.color, 2.5, None);
+            canvas.text([left + 32.0, y + 5.0], Anchor::Start, &curve.name);
+        }
+    }
+
+    fn range(&self, axis: usize, padding_share: f64) -> Range {
+        let values = self.curves.iter().flat_map(|curve| &curve.points);
+        Range::of(values.map(|point| point[axis]), 0.0)
+            .map(|range| range.widened_to(range.span() * (1.0 + 2.0 * padding_share)))
+            .unwrap_or(Range {
+                start: 0.0,
+                end: 0.0,
+            })
+            .widened_to(1e-3)
+    }
+}
+
+struct Axes {
+    frame: Frame,
+    across: Range,
+    upward: Range,
+}
+
+impl Axes {
+    fn place(&self, [across, upward]: [f64; 2]) -> [f64; 2] {
+        [
+            self.frame.left + (across - self.across.start) / self.across.span() * self.frame.width,
+            self.frame.top + (self.upward.end - upward) / self.upward.span() * self.frame.height,
+        ]
+    }
+
+    fn draw(&self, across_label: &str, upward_label: &str, canvas: &mut impl Canvas) {
+        let Frame {
+            left,
+            top,
+            width,
+            height,
+        } = self.frame;
+        let (right, bottom) = (left + width, top + height);
+        let (ticks, decimals) = self.across.ticks(width / 110.0);
+        for tick in ticks {
+            let [x, _] = self.place([tick, self.upward.start]);
+            canvas.line(&[[x, top], [x, bottom]], Color::LIGHT, 1.0, None);
+            // Adding zero turns minus zero into zero.
+            let text = format!("{:.decimals$}", tick + 0.0);
+            canvas.text([x, bottom + 18.0], Anchor::Middle, &text);
+        }
+        let (ticks, decimals) = self.upward.ticks(height / 50.0);
+        for tick in ticks {
+            let [_, y] = self.place([self.across.start, tick]);
+            canvas.line(&[[left, y], [right, y]], Color::LIGHT, 1.0, None);
+            let text = format!("{:.decimals$}", tick + 0.0);
+            canvas.text([left - 8.0, y + 5.0], Anchor::End, &text);
+        }
+        let corners = [
+            [left, top],
+            [right, top],
+            [right, bottom],
+            [left, bottom],
+            [left, top],
+        ];
+        canvas.line(&corners, Color::GREY, 1.0, None);
+        canvas.text([right, bottom + 38.0], Anchor::End, across_label);
+        canvas.text([left, bottom + 38.0], Anchor::Start, upward_label);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chart_names_its_axes_and_breaks_lines_at_gaps() {
+        let chart = Chart {
+            title: "Distances".to_owned(),
+            panels: vec![ChartPanel {
+                title: "one run".to_owned(),
+                across_label: "time [s]".to_owned(),
+                upward_label: "distance [m]".to_owned(),
+                curves: vec![Curve {
+                    name: "drones 1-2".to_owned(),
+                    color: Color::BLUE,
+                    width_px: 1.5,
+                    points: vec![
+                        [0.0, 1.0],
+                        [1.0, 2.0],
+                        [2.0, f64::NAN],
+                        [3.0, 2.0],
+                        [4.0, 1.0],
+                    ],
+                }],
+            }],
+        };
+        let svg = chart.to_svg();
+        for expected in [
+            "time [s]",
+            "distance [m]",
+            "drones 1-2",
+            "Distances",
+            "one run",
+        ] {
+            assert!(svg.contains(expected), "{expected} is missing");
+        }
+        assert!(!svg.contains("NaN"));
+        // Two pieces and the sample in the legend.
+        assert_eq!(svg.matches("#2c68cc").count(), 3);
+        assert!(chart.to_png().starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn a_chart_without_values_is_drawn_empty() {
+        let panel = ChartPanel {
+            title: String::new(),
+            across_label: String::new(),
+            upward_label: String::new(),
+            curves: Vec::new(),
+        };
+        let chart = Chart {
+            title: String::new(),
+            panels: vec![panel],
+        };
+        assert!(!chart.to_svg().contains("NaN"));
+    }
+}
