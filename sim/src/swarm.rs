@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 pub use obstacles::{Cylinder, Surface};
-pub use sensing::{Glimpse, LightBaseline, SensingSettings};
+pub use sensing::{BLINDED_AFTER_S, Glimpse, LightBaseline, SensingSettings};
 
 /// Synchronous explicit Euler: everybody senses, then everybody moves.
 pub const STEP_S: f64 = 0.1;
@@ -79,6 +79,7 @@ pub struct Swarm {
     velocities: Vec<Vector3<f64>>,
     gusts: Vec<Vector3<f64>>,
     cylinders: Vec<Cylinder>,
+    step_count: usize,
     /// What cameras show now is this old: the front, once there are enough.
     past: VecDeque<Snapshot>,
     /// Kept between calls, for its memory.
@@ -110,6 +111,7 @@ impl Swarm {
             velocities,
             gusts: vec![Vector3::zeros(); now.positions.len()],
             cylinders,
+            step_count: 0,
             past: VecDeque::from([now.clone()]),
             now,
             nearby: Vec::new(),
@@ -168,6 +170,7 @@ impl Swarm {
             }
             self.now.positions[drone] += (*velocity + *gust) * STEP_S;
         }
+        self.step_count += 1;
         self.remember();
     }
 

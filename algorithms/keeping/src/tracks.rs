@@ -45,6 +45,8 @@ pub struct Track {
     pub growth_hz: f64,
     /// Since the last sighting.
     pub age_s: f64,
+    /// Since the last sighting with an expected range.
+    pub range_age_s: f64,
     pub sighting_count: u32,
     /// The smoothed range of the growth's own filter.
     pub predicted_log_range: f64,
@@ -65,6 +67,10 @@ const GATE_RAD: f64 = 0.07;
 const GATE_RAD_MAX: f64 = 0.6;
 /// And if the range changed by no more than this in logarithm (the marker vision's own gate).
 const GATE_LOG_RANGE: f64 = 0.5;
+/// Ages are sums of steps, and sums of tenths are not exact.
+const AGE_SLACK_S: f64 = 0.01;
+/// Neighbours move, and the smoothed range lags: bounds exclude only beyond this ratio.
+const BOUND_SLACK: f64 = 1.5;
 /// Time constant of the range's rate, in time constants of the range.
 const GROWTH_SMOOTHING: f64 = 2.0;
 
@@ -87,8 +93,7 @@ impl Tracks {
 
     /// Whether the track may still pull or push.
     pub fn is_held(&self, track: &Track) -> bool {
-        // A tenth of a step of slack: ages are sums of steps.
-        track.age_s <= self.settings.hold_s + 0.01
+        track.age_s <= self.settings.hold_s + AGE_SLACK_S
     }
 
     /// Takes one frame's sightings, in the heading frame.
@@ -98,9 +103,11 @@ impl Tracks {
     pub fn update(&mut self, sightings: &[Sighting], heading_rad: f64, step_s: f64) {
         for track in self.tracks.iter_mut() {
             track.age_s += step_s;
+            track.range_age_s += step_s;
         }
         let memory_s = self.settings.memory_s;
-        self.tracks.retain(|track| track.age_s <= memory_s + 0.01);
+        self.tracks
+            .retain(|track| track.age_s <= memory_s + AGE_SLACK_S);
         self.is_taken = [false; TRACK_COUNT_MAX];
         let (sin, cos) = heading_rad.sin_cos();
         let known_count = self.tracks.len();
@@ -135,7 +142,10 @@ impl Tracks {
         for (idx, track) in self.tracks[..known_count].iter().enumerate() {
             // Twice the versine: the angle squared, where it is small.
             let angle_squared = 2.0 * (1.0 - track.direction_in_level.dot(direction_in_level));
-            if angle_squared > GATE_RAD_MAX * GATE_RAD_MAX || self.is_taken[idx] {
+            if angle_squared > GATE_RAD_MAX * GATE_RAD_MAX
+                || self.is_taken[idx]
+                || !track.may_be_at(range)
+            {
                 continue;
             }
             let moved_m = self.settings.relative_speed_mps * (track.age_s + step_s);
@@ -188,20 +198,30 @@ impl Track {
         RATE_OF_WIDTH_HZ * log_width
     }
 
+    /// Whether bounds that were seen now do not exclude where the neighbour was.
+    fn may_be_at(&self, range: &Range) -> bool {
+        let was_m = self.range_m.unwrap_or(self.range.low_m);
+        range.low_m <= was_m * BOUND_SLACK && range.high_m * BOUND_SLACK >= self.range.low_m
+    }
+
     fn reach_m(&self) -> f64 {
         self.range_m.unwrap_or(self.range.low_m)
     }
 
     fn join(&mut self, direction_in_level: Vector3<f64>, range: Range, settings: &TrackSettings) {
-        // The age before this sighting is the time since the last one.
-        let elapsed_s = self.age_s;
         self.direction_in_level = direction_in_level;
         self.range = range;
         self.age_s = 0.0;
         self.sighting_count = self.sighting_count.saturating_add(1);
         let Some(measured_m) = range.expected_m else {
+            // Lights that merge hide how the range changes.
+            if self.range_age_s > settings.hold_s + AGE_SLACK_S {
+                self.range_m = None;
+                self.growth_hz = 0.0;
+            }
             return;
         };
+        let elapsed_s = std::mem::take(&mut self.range_age_s);
         let measured = measured_m.ln();
         let Some(smoothed_m) = self.range_m else {
             self.range_m = Some(measured_m);
@@ -278,6 +298,22 @@ mod tests {
         let speed_mps = track.growth_hz * track.range_m.unwrap();
         // The relative rate of a steady approach grows by a tenth a second; the filter lags by one.
         assert!((speed_mps + 0.5).abs() < 0.1, "{speed_mps}");
+    }
+
+    #[test]
+    fn a_far_light_behind_a_near_neighbour_is_another_track() {
+        let mut tracks = Tracks::new(TrackSettings::default());
+        tracks.update(&[sighting(0.0, 2.0)], 0.0, 0.1);
+        let far = Sighting {
+            range: Range {
+                expected_m: None,
+                low_m: 6.0,
+                high_m: f64::INFINITY,
+            },
+            ..sighting(0.01, 2.0)
+        };
+        tracks.update(&[far], 0.0, 0.1);
+        assert_eq!(tracks.tracks().len(), 2);
     }
 
     #[test]

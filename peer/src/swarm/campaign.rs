@@ -17,8 +17,8 @@ pub struct Summary {
     pub converged: f64,
     pub settle_s_p50: Option<f64>,
     pub settle_s_p95: Option<f64>,
-    /// At the end; the median over runs of each run's median over pairs of up to three drones,
-    /// else of the mean distance to the nearest.
+    /// At the end: the median over all runs of the distances of adjacent drones, of whom no third
+    /// one is between; of more than three drones, of the mean distance to the nearest.
     pub spacing_m_p50: Option<f64>,
     pub min_distance_m: Option<f64>,
     /// Runs with any pair under half a metre.
@@ -92,11 +92,7 @@ pub fn summarise(records: &[FlightRecord]) -> Summary {
     settle_s.sort_by(f64::total_cmp);
     let mut spacing_m: Vec<f64> = records
         .iter()
-        .filter_map(|record| {
-            let mut distances_m = record.final_m.clone();
-            distances_m.sort_by(f64::total_cmp);
-            percentile(&distances_m, 0.5)
-        })
+        .flat_map(|record| adjacent(&record.final_m))
         .collect();
     spacing_m.sort_by(f64::total_cmp);
     let joined = |part: fn(&FlightRecord) -> &Mean| {
@@ -131,9 +127,37 @@ pub fn summarise(records: &[FlightRecord]) -> Summary {
     }
 }
 
+/// The distances that stay when a triangle's side opposite an obtuse angle is left out: the third
+/// drone stands between its ends, and the side follows from the other two.
+fn adjacent(distances_m: &[f64]) -> Vec<f64> {
+    let square_sum: f64 = distances_m.iter().map(|distance| distance * distance).sum();
+    let is_adjacent =
+        |distance: &f64| distances_m.len() < 3 || 2.0 * distance * distance <= square_sum;
+    distances_m.iter().copied().filter(is_adjacent).collect()
+}
+
 /// Interpolated between ranks, so that the median of two is their mean.
 pub fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
     let rank = share * sorted.len().checked_sub(1)? as f64;
     let (low, high) = (sorted[rank.floor() as usize], sorted[rank.ceil() as usize]);
     Some(low + (high - low) * rank.fract())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ends_of_a_chain_are_not_adjacent() {
+        assert_eq!(adjacent(&[3.0, 3.1, 5.9]), [3.0, 3.1]);
+        assert_eq!(adjacent(&[3.0, 3.1, 3.2]), [3.0, 3.1, 3.2]);
+        assert_eq!(adjacent(&[5.0]), [5.0]);
+    }
+
+    #[test]
+    fn percentiles_interpolate() {
+        assert_eq!(percentile(&[], 0.5), None);
+        assert_eq!(percentile(&[1.0, 2.0], 0.5), Some(1.5));
+        assert_eq!(percentile(&[1.0, 2.0, 3.0], 0.95), Some(2.9));
+    }
 }

@@ -121,11 +121,10 @@ impl Cockpit {
             }
             Pilot::Gabriel(keeper) => {
                 let views = [self.view];
-                let is_blinded = drone < swarm.settings().sensing.blinded;
                 let perception = Perception {
                     sightings: &self.sightings,
                     obstacles: &self.obstacles,
-                    views: if is_blinded { &[] } else { &views },
+                    views: if swarm.is_blinded(drone) { &[] } else { &views },
                     heading_rad,
                     velocity: swarm.own_velocity(drone),
                     nominal_mps: self.nominal_mps,

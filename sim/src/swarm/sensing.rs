@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{BODY_RADIUS_M, Swarm, turned};
+use super::{BODY_RADIUS_M, STEP_S, Swarm, turned};
 
 /// How the lights of a drone are mounted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,7 +46,7 @@ pub struct SensingSettings {
     pub elevation_rad_max: f64,
     /// Bodies hide what is behind them.
     pub occlusion: bool,
-    /// So many drones, the first ones, see nothing.
+    /// So many drones, the first ones, see nothing any more after [`BLINDED_AFTER_S`].
     pub blinded: usize,
 }
 
@@ -91,6 +91,8 @@ pub struct Nearby {
     distance_m: f64,
 }
 
+/// Drones are blinded when the swarm has found its places.
+pub const BLINDED_AFTER_S: f64 = 30.0;
 /// A false light looks like a neighbour at up to this distance.
 const FALSE_LIGHT_M_MAX: f64 = 8.0;
 
@@ -99,7 +101,7 @@ impl Swarm {
     pub fn glimpses(&mut self, observer: usize, glimpses: &mut Vec<Glimpse>) {
         glimpses.clear();
         let sensing = self.settings.sensing;
-        if observer < sensing.blinded {
+        if self.is_blinded(observer) {
             return;
         }
         let mut nearby = std::mem::take(&mut self.nearby);
@@ -137,6 +139,12 @@ impl Swarm {
             glimpses.push(false_light(&sensing, &mut self.rng));
         }
         self.nearby = nearby;
+    }
+
+    /// Whether a drone's cameras give no image now.
+    pub fn is_blinded(&self, drone: usize) -> bool {
+        let time_s = self.step_count as f64 * STEP_S;
+        drone < self.settings.sensing.blinded && time_s > BLINDED_AFTER_S
     }
 
     /// Everybody in range and view, the nearest first.
