@@ -48,7 +48,9 @@ pub struct Track {
     /// Since the last sighting with an expected range.
     pub range_age_s: f64,
     pub sighting_count: u32,
-    /// The smoothed range of the growth's own filter.
+    /// The logarithm of the smoothed range, while there is one.
+    pub log_range: f64,
+    /// The same in the growth's own filter.
     pub predicted_log_range: f64,
 }
 
@@ -67,6 +69,8 @@ const GATE_RAD: f64 = 0.07;
 const GATE_RAD_MAX: f64 = 0.6;
 /// And if the range changed by no more than this in logarithm (the marker vision's own gate).
 const GATE_LOG_RANGE: f64 = 0.5;
+/// A track that fits this well is taken without a look at the others.
+const CERTAIN_COST: f64 = 0.05;
 /// Ages are sums of steps, and sums of tenths are not exact.
 const AGE_SLACK_S: f64 = 0.01;
 /// Neighbours move, and the smoothed range lags: bounds exclude only beyond this ratio.
@@ -111,6 +115,8 @@ impl Tracks {
         self.is_taken = [false; TRACK_COUNT_MAX];
         let (sin, cos) = heading_rad.sin_cos();
         let known_count = self.tracks.len();
+        let gains = Gains::after(step_s, &self.settings);
+        let mut next = 0;
         for sighting in sightings {
             let direction = &sighting.direction;
             let direction_in_level = Vector3::new(
@@ -118,45 +124,36 @@ impl Tracks {
                 sin * direction.x + cos * direction.y,
                 direction.z,
             );
-            match self.nearest(&direction_in_level, &sighting.range, known_count, step_s) {
+            let measured = Measured {
+                direction_in_level,
+                range: sighting.range,
+                log_range: sighting.range.expected_m.map(f64::ln),
+            };
+            // Cameras report in about the same order from frame to frame, so the next track is
+            // tried first.
+            let found = if self.cost(next, &measured, known_count, step_s) < CERTAIN_COST {
+                Some(next)
+            } else {
+                self.nearest(&measured, known_count, step_s)
+            };
+            match found {
                 Some(idx) => {
                     self.is_taken[idx] = true;
-                    let settings = self.settings;
-                    self.tracks[idx].join(direction_in_level, sighting.range, &settings);
+                    self.tracks[idx].join(&measured, &gains, &self.settings);
+                    next = idx + 1;
                 }
-                None => self.begin(direction_in_level, sighting.range),
+                None => self.begin(&measured),
             }
         }
     }
 
     /// The free track among the first `known_count` that fits best.
-    fn nearest(
-        &self,
-        direction_in_level: &Vector3<f64>,
-        range: &Range,
-        known_count: usize,
-        step_s: f64,
-    ) -> Option<usize> {
+    fn nearest(&self, measured: &Measured, known_count: usize, step_s: f64) -> Option<usize> {
         let mut best = None;
-        let mut best_cost = f64::INFINITY;
-        for (idx, track) in self.tracks[..known_count].iter().enumerate() {
-            // Twice the versine: the angle squared, where it is small.
-            let angle_squared = 2.0 * (1.0 - track.direction_in_level.dot(direction_in_level));
-            if angle_squared > GATE_RAD_MAX * GATE_RAD_MAX
-                || self.is_taken[idx]
-                || !track.may_be_at(range)
-            {
-                continue;
-            }
-            let moved_m = self.settings.relative_speed_mps * (track.age_s + step_s);
-            let moved_rad = moved_m / track.range_m.unwrap_or(track.range.low_m).max(0.1);
-            let gate_rad = (GATE_RAD + moved_rad).min(GATE_RAD_MAX);
-            let mut cost = angle_squared / (gate_rad * gate_rad);
-            if let (Some(old_m), Some(new_m)) = (track.range_m, range.expected_m) {
-                let change = (new_m / old_m).ln() / (GATE_LOG_RANGE + moved_rad);
-                cost += change * change;
-            }
-            if cost < 1.0_f64.min(best_cost) {
+        let mut best_cost = 1.0;
+        for idx in 0..known_count {
+            let cost = self.cost(idx, measured, known_count, step_s);
+            if cost < best_cost {
                 best_cost = cost;
                 best = Some(idx);
             }
@@ -164,13 +161,40 @@ impl Tracks {
         best
     }
 
+    /// How badly a track fits; below one it may be the same neighbour.
+    fn cost(&self, idx: usize, measured: &Measured, known_count: usize, step_s: f64) -> f64 {
+        let Some(track) = self.tracks[..known_count].get(idx) else {
+            return f64::INFINITY;
+        };
+        // Twice the versine: the angle squared, where it is small.
+        let along = track.direction_in_level.dot(&measured.direction_in_level);
+        let angle_squared = 2.0 * (1.0 - along);
+        if angle_squared > GATE_RAD_MAX * GATE_RAD_MAX
+            || self.is_taken[idx]
+            || !track.may_be_at(&measured.range)
+        {
+            return f64::INFINITY;
+        }
+        let moved_m = self.settings.relative_speed_mps * (track.age_s + step_s);
+        let moved_rad = moved_m / track.reach_m().max(0.1);
+        let gate_rad = (GATE_RAD + moved_rad).min(GATE_RAD_MAX);
+        let mut cost = angle_squared / (gate_rad * gate_rad);
+        if let (Some(_), Some(log_range)) = (track.range_m, measured.log_range) {
+            let change = (log_range - track.log_range) / (GATE_LOG_RANGE + moved_rad);
+            cost += change * change;
+        }
+        cost
+    }
+
     /// Begins a track; if there is no room, in place of the farthest one.
-    fn begin(&mut self, direction_in_level: Vector3<f64>, range: Range) {
+    fn begin(&mut self, measured: &Measured) {
+        let log_range = measured.log_range.unwrap_or(0.0);
         let track = Track {
-            direction_in_level,
-            range,
-            range_m: range.expected_m,
-            predicted_log_range: range.expected_m.map_or(0.0, f64::ln),
+            direction_in_level: measured.direction_in_level,
+            range: measured.range,
+            range_m: measured.range.expected_m,
+            log_range,
+            predicted_log_range: log_range,
             sighting_count: 1,
             ..Track::default()
         };
@@ -208,12 +232,12 @@ impl Track {
         self.range_m.unwrap_or(self.range.low_m)
     }
 
-    fn join(&mut self, direction_in_level: Vector3<f64>, range: Range, settings: &TrackSettings) {
-        self.direction_in_level = direction_in_level;
-        self.range = range;
+    fn join(&mut self, measured: &Measured, gains: &Gains, settings: &TrackSettings) {
+        self.direction_in_level = measured.direction_in_level;
+        self.range = measured.range;
         self.age_s = 0.0;
         self.sighting_count = self.sighting_count.saturating_add(1);
-        let Some(measured_m) = range.expected_m else {
+        let Some(log_range) = measured.log_range else {
             // Lights that merge hide how the range changes.
             if self.range_age_s > settings.hold_s + AGE_SLACK_S {
                 self.range_m = None;
@@ -222,22 +246,52 @@ impl Track {
             return;
         };
         let elapsed_s = std::mem::take(&mut self.range_age_s);
-        let measured = measured_m.ln();
-        let Some(smoothed_m) = self.range_m else {
-            self.range_m = Some(measured_m);
-            self.predicted_log_range = measured;
+        if self.range_m.is_none() {
+            self.range_m = measured.range.expected_m;
+            self.log_range = log_range;
+            self.predicted_log_range = log_range;
             return;
+        }
+        let missed;
+        let gains = if elapsed_s == gains.elapsed_s {
+            gains
+        } else {
+            missed = Gains::after(elapsed_s, settings);
+            &missed
         };
-        let gain = 1.0 - (-elapsed_s / settings.smoothing_s).exp();
-        let smoothed = smoothed_m.ln();
-        self.range_m = Some((smoothed + gain * (measured - smoothed)).exp());
+        self.log_range += gains.range * (log_range - self.log_range);
+        self.range_m = Some(self.log_range.exp());
         // An alpha–beta filter beside it, critically damped, gives the rate.
-        let gain = 1.0 - (-elapsed_s / (GROWTH_SMOOTHING * settings.smoothing_s)).exp();
         let predicted = self.predicted_log_range + self.growth_hz * elapsed_s;
-        let error = measured - predicted;
-        self.predicted_log_range = predicted + gain * (2.0 - gain) * error;
+        let error = log_range - predicted;
+        self.predicted_log_range = predicted + gains.growth * (2.0 - gains.growth) * error;
         if elapsed_s > 0.0 {
-            self.growth_hz += gain * gain * error / elapsed_s;
+            self.growth_hz += gains.growth * gains.growth * error / elapsed_s;
+        }
+    }
+}
+
+/// A sighting in axes that do not turn.
+struct Measured {
+    direction_in_level: Vector3<f64>,
+    range: Range,
+    log_range: Option<f64>,
+}
+
+/// What share of an error the filters take over after some time.
+struct Gains {
+    elapsed_s: f64,
+    range: f64,
+    growth: f64,
+}
+
+impl Gains {
+    fn after(elapsed_s: f64, settings: &TrackSettings) -> Self {
+        let share = |smoothing_s: f64| 1.0 - (-elapsed_s / smoothing_s).exp();
+        Self {
+            elapsed_s,
+            range: share(settings.smoothing_s),
+            growth: share(GROWTH_SMOOTHING * settings.smoothing_s),
         }
     }
 }
