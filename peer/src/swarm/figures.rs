@@ -148,7 +148,7 @@ pub fn settling(records: &[FlightRecord]) -> Chart {
             ChartPanel {
                 title: "Sample mean and variance".to_owned(),
                 across_label: "time [s]".to_owned(),
-                upward_label: "[m], [m²]".to_owned(),
+                upward_label: "[m], [m squared]".to_owned(),
                 curves: vec![
                     moment("mean", Color::BLUE, mean),
                     moment("variance", Color::RED, variance),

@@ -153,6 +153,7 @@ impl Swarm {
         let sensing = &self.settings.sensing;
         let scene = self.past.front().unwrap_or(&self.now);
         let own = scene.positions[observer];
+        let view = sensing.view();
         let heading_rad = scene.headings_rad[observer];
         for (target, position) in scene.positions.iter().enumerate() {
             let offset = position - own;
@@ -164,7 +165,7 @@ impl Swarm {
                 continue;
             }
             let in_heading = turned(&offset, -heading_rad);
-            if !sensing.covers(&in_heading) {
+            if !view.covers(&in_heading) {
                 continue;
             }
             if self
@@ -191,10 +192,25 @@ impl Swarm {
 }
 
 impl SensingSettings {
+    fn view(&self) -> View {
+        View {
+            azimuth_cos_min: self.azimuth_rad_max.cos(),
+            elevation_tan_max: self.elevation_rad_max.tan(),
+        }
+    }
+}
+
+/// The borders of what cameras cover, without angles: this is the inner loop of large swarms.
+struct View {
+    azimuth_cos_min: f64,
+    elevation_tan_max: f64,
+}
+
+impl View {
     fn covers(&self, offset: &Vector3<f64>) -> bool {
-        let across_m = offset.x.hypot(offset.y);
-        offset.y.atan2(offset.x).abs() < self.azimuth_rad_max
-            && offset.z.abs().atan2(across_m) <= self.elevation_rad_max
+        let across_m = (offset.x * offset.x + offset.y * offset.y).sqrt();
+        offset.x >= self.azimuth_cos_min * across_m
+            && offset.z.abs() <= self.elevation_tan_max * across_m
     }
 }
 
@@ -234,7 +250,7 @@ fn false_light(sensing: &SensingSettings, rng: &mut ChaCha8Rng) -> Glimpse {
     let direction = loop {
         let candidate = Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
         let length: f64 = candidate.norm();
-        if (0.1..=1.0).contains(&length) && sensing.covers(&candidate) {
+        if (0.1..=1.0).contains(&length) && sensing.view().covers(&candidate) {
             break candidate / length;
         }
     };

@@ -36,3 +36,48 @@ fn a_moving_swarm_keeps_together_without_collision() {
     assert_eq!(totals.union.mean(), Some(1.0));
     assert!(totals.order.mean().unwrap() > 0.99, "{totals:?}");
 }
+
+/// Goal: nobody is told to fly where no camera looked. Method: headings are held, so what was
+/// looked at lately is what is looked at now.
+#[test]
+fn commands_stay_inside_the_view() {
+    for (azimuth_deg, elevation_deg) in [(150.0, 41.0), (42.0, 34.0)] {
+        for speed_mps in [0.0, 1.0] {
+            let mut scenario = short(RuleName::Gabriel, SensingName::Realistic, 10);
+            scenario.swarm.speed_mps = speed_mps;
+            let sensing = &mut scenario.swarm.sensing;
+            sensing.azimuth_rad_max = f64::to_radians(azimuth_deg);
+            sensing.elevation_rad_max = f64::to_radians(elevation_deg);
+            let record = fly(&scenario, 3, |moment| {
+                for velocity in moment.steering.iter().map(|steering| steering.velocity) {
+                    let across_mps = velocity.x.hypot(velocity.y);
+                    let is_level =
+                        velocity.z.abs().atan2(across_mps).to_degrees() <= elevation_deg + 1e-6;
+                    let is_ahead =
+                        velocity.y.atan2(velocity.x).abs().to_degrees() <= azimuth_deg + 1e-6;
+                    let is_still = velocity.norm() < 1e-9;
+                    assert!(is_still || is_level && is_ahead, "{velocity:?}");
+                }
+            });
+            assert_eq!(record.totals.seen_collisions, 0);
+        }
+    }
+}
+
+#[test]
+fn far_lights_bring_a_lone_drone_back() {
+    let mut scenario = short(RuleName::Gabriel, SensingName::Realistic, 2);
+    // Farther apart than two lights can be told from one.
+    scenario.swarm.sensing.visible_m = 2.0;
+    scenario.swarm.sensing.separation_px_min = 6.0;
+    scenario.swarm.cube_half_width_m = 5.0;
+    for seed in 0..5 {
+        let record = fly(&scenario, seed, |_| {});
+        let start_m = record.curves[0][0];
+        assert!(
+            record.final_m[0] < 4.2,
+            "from {start_m} to {:?}",
+            record.final_m
+        );
+    }
+}
