@@ -25,9 +25,10 @@ const POINT_COUNT: usize = 300;
 
 /// Fig. 2, above: where the drones of the first run flew.
 pub fn trajectories(trace: &Trace) -> Plot {
-    let drones = trace.positions.iter().take(TRACE_COUNT_MAX).enumerate();
+    let drones = trace.positions.iter().take(TRACE_COUNT_MAX);
     let mut layers: Vec<Layer> = drones
         .clone()
+        .enumerate()
         .map(|(drone, positions)| Layer {
             name: format!("drone {}", drone + 1),
             color: color_of(drone),
@@ -37,11 +38,10 @@ pub fn trajectories(trace: &Trace) -> Plot {
         .collect();
     // Names of large swarms fill the page.
     if layers.len() > COLORS.len() {
-        layers.truncate(TRACE_COUNT_MAX);
         layers.iter_mut().for_each(|layer| layer.name.clear());
     }
     let ends: Vec<Vector3<f64>> = drones
-        .filter_map(|(_, positions)| positions.last().copied())
+        .filter_map(|positions| positions.last().copied())
         .collect();
     layers.push(Layer {
         name: "end".to_owned(),

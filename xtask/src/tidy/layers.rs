@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::Offence;
 
 /// For every member: the members that it may depend on, tests and benches included.
-const LAYERS: [(&str, &[&str]); 12] = [
+const LAYERS: [(&str, &[&str]); 13] = [
     ("geometry", &[]),
     ("camera", &["geometry"]),
     ("features", &["camera"]),
