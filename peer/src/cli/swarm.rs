@@ -9,8 +9,9 @@ use clap::ValueEnum;
 
 use super::{Exit, UsageError, output};
 use crate::plot::Picture;
+use crate::swarm::figures::{self, LateralSetpoint};
 use crate::swarm::{
-    FlightRecord, RuleName, Scenario, SensingName, Summary, Trace, figures, fly_all, summarise,
+    FlightRecord, RuleName, Scenario, SensingName, Summary, Trace, fly_all, summarise,
 };
 
 #[derive(clap::Args)]
@@ -36,6 +37,10 @@ pub struct SwarmArguments {
     /// Set one number, such as `latency_s=0.5`; may be repeated.
     #[arg(long, value_name = "NAME=VALUE")]
     pub set: Vec<String>,
+    /// Let the follower of the flight test hold the lights in the middle of the image (162 px), as
+    /// the paper does, instead of on the optical axis.
+    #[arg(long)]
+    pub paper: bool,
     /// Where pictures, the recording and the numbers of every run go.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -75,7 +80,9 @@ pub fn run(arguments: &SwarmArguments) -> anyhow::Result<Exit> {
     );
     progress.finish();
     let summary = summarise(&records);
-    write_results(&arguments.out, &trace, &records, arguments.seed)?;
+    write_pictures(arguments, &trace, &records)?;
+    trace.record(&arguments.out.join("flight.mcap"))?;
+    write_table(&arguments.out.join("runs.csv"), &records)?;
     if arguments.json {
         output::print_json(&summary)?;
     } else {
@@ -112,21 +119,28 @@ fn parse_speed(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "expected a speed from 0 to 20 m/s".to_owned())
 }
 
-fn write_results(
-    out: &Path,
+fn write_pictures(
+    arguments: &SwarmArguments,
     trace: &Trace,
     records: &[FlightRecord],
-    seed: u64,
 ) -> anyhow::Result<()> {
+    let out = &arguments.out;
     if let Some(first) = records.first() {
         figures::trajectories(trace).write(&out.join("fig2_trajectories.png"))?;
         figures::corrections(trace, first).write(&out.join("fig2_corrections.png"))?;
     }
     figures::settling(records).write(&out.join("fig3_settling.png"))?;
-    figures::following(seed).write(&out.join("fig5_following.png"))?;
-    trace.record(&out.join("flight.mcap"))?;
-    let path = out.join("runs.csv");
-    fs::write(&path, table_of(records))
+    let setpoint = if arguments.paper {
+        LateralSetpoint::Paper
+    } else {
+        LateralSetpoint::Calibrated
+    };
+    let following = figures::following(setpoint, arguments.seed);
+    Ok(following.write(&out.join("fig5_following.png"))?)
+}
+
+fn write_table(path: &Path, records: &[FlightRecord]) -> anyhow::Result<()> {
+    fs::write(path, table_of(records))
         .with_context(|| format!("cannot write the table of runs: {}", path.display()))
 }
 

@@ -145,6 +145,7 @@ pub fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::scenario::{RuleName, SensingName};
     use super::*;
 
     #[test]
@@ -152,6 +153,24 @@ mod tests {
         assert_eq!(adjacent(&[3.0, 3.1, 5.9]), [3.0, 3.1]);
         assert_eq!(adjacent(&[3.0, 3.1, 3.2]), [3.0, 3.1, 3.2]);
         assert_eq!(adjacent(&[5.0]), [5.0]);
+    }
+
+    /// Threads take runs as they come free; whatever the order, the records are the same.
+    #[test]
+    fn records_do_not_depend_on_threads() {
+        let mut scenario = Scenario::new(RuleName::Gabriel, SensingName::Realistic);
+        scenario.duration_s = 10.0;
+        let done = AtomicUsize::new(0);
+        let count = || {
+            done.fetch_add(1, Ordering::Relaxed);
+        };
+        let records = fly_all(&scenario, 6, 3, |_| {}, count);
+        assert_eq!(done.into_inner(), 6);
+        for record in &records {
+            assert_eq!(record, &fly(&scenario, record.seed, |_| {}));
+        }
+        let seeds: Vec<u64> = records.iter().map(|record| record.seed).collect();
+        assert!(seeds.is_sorted());
     }
 
     #[test]

@@ -65,7 +65,7 @@ pub fn corrections(trace: &Trace, record: &FlightRecord) -> Chart {
             .collect()
     };
     let distances = record.curves.iter().enumerate().map(|(idx, curve)| Curve {
-        name: if record.curves.len() == PAIRS.len() {
+        name: if trace.positions.len() <= PAIRS.len() {
             format!("drones {}", PAIRS[idx])
         } else {
             "nearest, mean".to_owned()
@@ -173,9 +173,12 @@ fn moments_of(differences: &[Vec<[f64; 2]>]) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
 }
 
 /// Fig. 5: what the follower of the flight test commanded, measured and smoothed.
-pub fn following(seed: u64) -> Chart {
+pub fn following(setpoint: LateralSetpoint, seed: u64) -> Chart {
     let settings = FollowingSettings::default();
-    let follower = FollowerSettings::calibrated(settings.principal_px);
+    let follower = match setpoint {
+        LateralSetpoint::Calibrated => FollowerSettings::calibrated(settings.principal_px),
+        LateralSetpoint::Paper => FollowerSettings::paper(),
+    };
     let moments = follow(&settings, follower, seed);
     let end_s = settings.duration_s;
     let panel =
@@ -233,6 +236,15 @@ pub fn following(seed: u64) -> Chart {
             ),
         ],
     }
+}
+
+/// Where between left and right the follower holds the lights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LateralSetpoint {
+    /// On the optical axis.
+    Calibrated,
+    /// In the middle of the image, as the paper does.
+    Paper,
 }
 
 /// A curve over time with fewer points.
