@@ -34,7 +34,7 @@ pub struct SwarmArguments {
     /// Cylinders across the way.
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=100))]
     pub obstacles: u16,
-    /// Set one number, such as `latency_s=0.5`; may be repeated.
+    /// Set one number, such as `latency_s=0.5`; may be repeated. An unknown name lists all.
     #[arg(long, value_name = "NAME=VALUE")]
     pub set: Vec<String>,
     /// Let the follower of the flight test hold the lights in the middle of the image (162 px), as
@@ -82,7 +82,9 @@ pub fn run(arguments: &SwarmArguments) -> anyhow::Result<Exit> {
     let summary = summarise(&records);
     write_pictures(arguments, &trace, &records)?;
     trace.record(&arguments.out.join("flight.mcap"))?;
-    write_table(&arguments.out.join("runs.csv"), &records)?;
+    write_table(&arguments.out.join("runs.csv"), &table_of(&records))?;
+    let settling = figures::settling_table(&records);
+    write_table(&arguments.out.join("fig3_settling.csv"), &settling)?;
     if arguments.json {
         output::print_json(&summary)?;
     } else {
@@ -139,9 +141,8 @@ fn write_pictures(
     Ok(following.write(&out.join("fig5_following.png"))?)
 }
 
-fn write_table(path: &Path, records: &[FlightRecord]) -> anyhow::Result<()> {
-    fs::write(path, table_of(records))
-        .with_context(|| format!("cannot write the table of runs: {}", path.display()))
+fn write_table(path: &Path, table: &str) -> anyhow::Result<()> {
+    fs::write(path, table).with_context(|| format!("cannot write the table: {}", path.display()))
 }
 
 /// One line for each run; what is not known is left empty.
@@ -249,6 +250,7 @@ mod tests {
             "fig2_trajectories.png",
             "fig2_corrections.png",
             "fig3_settling.png",
+            "fig3_settling.csv",
             "fig5_following.png",
             "flight.mcap",
             "runs.csv",

@@ -1,5 +1,7 @@
 //! Pictures in the style of the paper's Figs. 2, 3 and 5.
 
+use std::fmt::Write;
+
 use keeping::FollowerSettings;
 use nalgebra::Vector3;
 use sim::swarm::STEP_S;
@@ -113,15 +115,7 @@ const PAIRS: [&str; 3] = ["1-2", "1-3", "2-3"];
 
 /// Fig. 3: distances of all runs less their ends, and their mean and variance.
 pub fn settling(records: &[FlightRecord]) -> Chart {
-    let differences: Vec<Vec<[f64; 2]>> = records
-        .iter()
-        .flat_map(|record| record.curves.iter().zip(&record.final_m))
-        .map(|(curve, end)| {
-            thinned(curve)
-                .map(|[time, value]| [time, value - end])
-                .collect()
-        })
-        .collect();
+    let differences = differences_of(records);
     let all = differences.iter().take(CURVE_COUNT_MAX).enumerate();
     let curves = all.map(|(idx, points)| Curve {
         name: String::new(),
@@ -156,6 +150,31 @@ pub fn settling(records: &[FlightRecord]) -> Chart {
             },
         ],
     }
+}
+
+/// The lower half of Fig. 3 as a table: time, mean and variance.
+pub fn settling_table(records: &[FlightRecord]) -> String {
+    let (mean, variance) = moments_of(&differences_of(records));
+    let mut table = String::from("time_s,mean_m,variance_m2\n");
+    for ([time_s, mean], [_, variance]) in mean.iter().zip(&variance) {
+        writeln!(table, "{time_s:.1},{mean:.6},{variance:.6}")
+            .expect("writing to a string does not fail");
+    }
+    table
+}
+
+/// Every run's distances less their ends.
+fn differences_of(records: &[FlightRecord]) -> Vec<Vec<[f64; 2]>> {
+    records
+        .iter()
+        .flat_map(|record| record.curves.iter().zip(&record.final_m))
+        .map(|(curve, end)| {
+            let points = thinned(curve);
+            points
+                .map(|[time_s, value]| [time_s, value - end])
+                .collect()
+        })
+        .collect()
 }
 
 fn moments_of(differences: &[Vec<[f64; 2]>]) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
