@@ -34,7 +34,7 @@ impl Default for GabrielSettings {
             preferred_forward_m: 3.9,
             gain_mps: 0.5,
             full_log_ratio: 0.4,
-            similar_log_ratio: 0.08,
+            similar_log_ratio: 0.1,
             pull_max: 1.0,
             correction_mps_max: 0.5,
             reverse_mps_max: 0.1,

@@ -74,8 +74,8 @@ fn far_lights_bring_a_lone_drone_back() {
         let record = fly(&scenario, seed, |_| {});
         let (start_m, end_m) = (record.curves[0][0], record.final_m[0]);
         far_count += usize::from(start_m > 7.0);
-        // The forward distance and the dead band of 8 %.
-        assert!(end_m < 4.3, "seed {seed}: from {start_m} m to {end_m} m");
+        // The forward distance and the dead band of 10 %.
+        assert!(end_m < 4.4, "seed {seed}: from {start_m} m to {end_m} m");
     }
     assert!(far_count > 0);
 }
