@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod conditioner;
+pub mod marker_light;
 mod paint;
 mod picture;
 mod position_source;

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::Offence;
 
-/// For every member: the members that it may depend on, tests and benches included.
+/// For every member: the members that it may depend on.
 const LAYERS: [(&str, &[&str]); 13] = [
     ("geometry", &[]),
     ("camera", &["geometry"]),
@@ -48,6 +48,9 @@ const LAYERS: [(&str, &[&str]); 13] = [
     ("xtask", &[]),
 ];
 
+/// What tests and benches of a member may know beyond that: the simulator makes their input.
+const LAYERS_OF_TESTS: [(&str, &[&str]); 1] = [("keeping", &["sim"])];
+
 /// The members that may name zenoh: the link, and the tests that speak to it from outside.
 const ZENOH_USERS: [&str; 2] = ["peer", "tests"];
 
@@ -58,6 +61,7 @@ const ZENOH_HOME: &str = "peer/src/link";
 pub fn check(root: &Path) -> Result<Vec<Offence>> {
     let mut offences = Vec::new();
     let layers: BTreeMap<&str, &[&str]> = LAYERS.into_iter().collect();
+    let layers_of_tests: BTreeMap<&str, &[&str]> = LAYERS_OF_TESTS.into_iter().collect();
     let members = member_dependencies(root)?;
     for (member, dependencies) in &members {
         let mut offend = |what: String| {
@@ -71,9 +75,16 @@ pub fn check(root: &Path) -> Result<Vec<Offence>> {
             offend("a member without a line in the table of layers".to_owned());
             continue;
         };
-        for dependency in dependencies {
-            let is_member = members.contains_key(dependency);
-            if is_member && !allowed.contains(&dependency.as_str()) {
+        let allowed_in_tests = layers_of_tests.get(member.as_str()).copied();
+        for Dependency {
+            name: dependency,
+            only_in_tests,
+        } in dependencies
+        {
+            let is_allowed = allowed.contains(&dependency.as_str())
+                || *only_in_tests
+                    && allowed_in_tests.is_some_and(|list| list.contains(&dependency.as_str()));
+            if members.contains_key(dependency) && !is_allowed {
                 offend(format!("must not know {dependency}"));
             }
             if dependency.starts_with("zenoh") && !ZENOH_USERS.contains(&member.as_str()) {
@@ -85,7 +96,12 @@ pub fn check(root: &Path) -> Result<Vec<Offence>> {
     Ok(offences)
 }
 
-fn member_dependencies(root: &Path) -> Result<BTreeMap<String, Vec<String>>> {
+struct Dependency {
+    name: String,
+    only_in_tests: bool,
+}
+
+fn member_dependencies(root: &Path) -> Result<BTreeMap<String, Vec<Dependency>>> {
     let output = Command::new(env!("CARGO"))
         .args([
             "metadata",
@@ -104,10 +120,15 @@ fn member_dependencies(root: &Path) -> Result<BTreeMap<String, Vec<String>>> {
         );
     }
     let metadata: Value = serde_json::from_slice(&output.stdout)?;
-    let names = |list: &Value| -> Vec<String> {
+    let named = |list: &Value| -> Vec<Dependency> {
         let entries = list.as_array().into_iter().flatten();
         entries
-            .filter_map(|entry| entry["name"].as_str().map(str::to_owned))
+            .filter_map(|entry| {
+                Some(Dependency {
+                    name: entry["name"].as_str()?.to_owned(),
+                    only_in_tests: entry["kind"].as_str() == Some("dev"),
+                })
+            })
             .collect()
     };
     let packages = metadata["packages"]
@@ -118,7 +139,7 @@ fn member_dependencies(root: &Path) -> Result<BTreeMap<String, Vec<String>>> {
         .filter_map(|package| {
             Some((
                 package["name"].as_str()?.to_owned(),
-                names(&package["dependencies"]),
+                named(&package["dependencies"]),
             ))
         })
         .collect())

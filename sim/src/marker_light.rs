@@ -1,0 +1,187 @@
+//! Marker lights as a camera sees them, and pictures of them in all kinds of light.
+//!
+//! Levels are grey levels at exposure one, without upper bound; the sensor clips them.
+
+mod scene;
+
+use camera::Image;
+use rand::Rng;
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+pub use scene::{MarkerFrame, MarkerScene, TruePair};
+
+/// A light that is smaller than a pixel, spread by the lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightSpot {
+    pub center_px: [f64; 2],
+    /// Of the Gaussian that lens and pixel make of it.
+    pub sigma_px: f64,
+    /// Level at the centre above what lies behind.
+    pub peak: f64,
+    /// How far it moves while the shutter is open, centred on `center_px`.
+    pub streak_px: [f64; 2],
+}
+
+/// What falls on the sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Irradiance {
+    width: usize,
+    height: usize,
+    levels: Vec<f32>,
+}
+
+/// How the sensor turns levels into pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensor {
+    /// Factor on all levels.
+    pub exposure: f64,
+    /// Standard deviation of a pixel, grey levels.
+    pub noise: f64,
+}
+
+/// Beyond this many sigmas a light adds less than a grey level even when it is far too bright.
+const SPOT_REACH_SIGMAS: f64 = 4.5;
+
+impl Irradiance {
+    pub fn filled(width: usize, height: usize, level: f64) -> Self {
+        Self {
+            width,
+            height,
+            levels: vec![level as f32; width * height],
+        }
+    }
+
+    /// An image before the sensor, as a renderer makes it.
+    pub fn from_image(image: &Image) -> Self {
+        Self {
+            width: image.width(),
+            height: image.height(),
+            levels: image.pixels().iter().copied().map(f32::from).collect(),
+        }
+    }
+
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The level of a pixel, or `None` outside.
+    pub fn level(&self, x: usize, y: usize) -> Option<f64> {
+        (x < self.width && y < self.height).then(|| f64::from(self.levels[y * self.width + x]))
+    }
+
+    /// Changes each level, given its pixel.
+    pub fn map(&mut self, change: impl Fn(usize, usize, f64) -> f64) {
+        for (idx, level) in self.levels.iter_mut().enumerate() {
+            *level = change(idx % self.width, idx / self.width, f64::from(*level)) as f32;
+        }
+    }
+
+    /// Paints a rectangle; what sticks out is cut off.
+    pub fn fill_rectangle(&mut self, [left, top]: [usize; 2], size: [usize; 2], level: f64) {
+        for y in top..(top + size[1]).min(self.height) {
+            let row = &mut self.levels[y * self.width..(y + 1) * self.width];
+            let right = (left + size[0]).min(row.len());
+            row[left.min(right)..right].fill(level as f32);
+        }
+    }
+
+    /// Adds a light; what sticks out is cut off.
+    pub fn add_spot(&mut self, spot: &LightSpot) {
+        let streak_length = spot.streak_px[0].hypot(spot.streak_px[1]);
+        // Steps of a third of a sigma are as smooth as the integral.
+        let step_count = (3.0 * streak_length / spot.sigma_px).ceil().max(1.0) as usize;
+        for step in 0..step_count {
+            let along = (step as f64 + 0.5) / step_count as f64 - 0.5;
+            let center: [f64; 2] =
+                std::array::from_fn(|axis| spot.center_px[axis] + along * spot.streak_px[axis]);
+            self.add_still_spot(center, spot.sigma_px, spot.peak / step_count as f64);
+        }
+    }
+
+    fn add_still_spot(&mut self, center_px: [f64; 2], sigma_px: f64, peak: f64) {
+        let reach = SPOT_REACH_SIGMAS * sigma_px;
+        let range = |center: f64, end: usize| {
+            let start = (center - reach).ceil().max(0.0) as usize;
+            let stop = (center + reach + 1.0).floor().max(0.0) as usize;
+            start.min(end)..stop.min(end)
+        };
+        let falloff = |offset: f64| (-0.5 * (offset / sigma_px).powi(2)).exp();
+        for y in range(center_px[1], self.height) {
+            let row_peak = peak * falloff(y as f64 - center_px[1]);
+            for x in range(center_px[0], self.width) {
+                let level = row_peak * falloff(x as f64 - center_px[0]);
+                self.levels[y * self.width + x] += level as f32;
+            }
+        }
+    }
+
+    /// The picture that the sensor gives.
+    pub fn expose(&self, sensor: &Sensor, rng: &mut impl Rng) -> Image {
+        let expose_pixel = |level: &f32| {
+            let noise: f64 = rng.sample(StandardNormal);
+            let value = f64::from(*level) * sensor.exposure + noise * sensor.noise;
+            value.round().clamp(0.0, 255.0) as u8
+        };
+        let pixels = self.levels.iter().map(expose_pixel).collect();
+        Image::from_pixels(self.width, self.height, pixels)
+            .expect("there is one level for each pixel")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    #[test]
+    fn a_spot_keeps_its_centre_and_its_flux_when_it_moves() {
+        for streak_px in [[0.0, 0.0], [4.0, 3.0]] {
+            let mut picture = Irradiance::filled(40, 40, 0.0);
+            picture.add_spot(&LightSpot {
+                center_px: [20.3, 18.8],
+                sigma_px: 0.9,
+                peak: 300.0,
+                streak_px,
+            });
+            let (mut flux, mut moment_x) = (0.0, 0.0);
+            for y in 0..40 {
+                for x in 0..40 {
+                    let level = picture.level(x, y).unwrap();
+                    flux += level;
+                    moment_x += level * x as f64;
+                }
+            }
+            // The integral of a Gaussian is 2 pi sigma² times its peak.
+            let expected = 2.0 * std::f64::consts::PI * 0.81 * 300.0;
+            assert!((flux / expected - 1.0).abs() < 1e-3, "{flux} of {expected}");
+            assert!((moment_x / flux - 20.3).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn spots_outside_the_picture_are_cut_off() {
+        let mut picture = Irradiance::filled(8, 8, 5.0);
+        for center_px in [[-30.0, 4.0], [7.9, 7.9], [4.0, 900.0], [f64::NAN, 0.0]] {
+            picture.add_spot(&LightSpot {
+                center_px,
+                sigma_px: 1.0,
+                peak: 100.0,
+                streak_px: [0.0, 0.0],
+            });
+        }
+        let sensor = Sensor {
+            exposure: 1.0,
+            noise: 0.0,
+        };
+        let image = picture.expose(&sensor, &mut ChaCha8Rng::seed_from_u64(0));
+        assert_eq!(image.get(0, 4), 5);
+        assert!(image.get(7, 7) > 100);
+    }
+}
