@@ -90,6 +90,41 @@ impl Irradiance {
         }
     }
 
+    /// Blurs everything with a Gaussian, as the lens does; beyond the edge the edge goes on.
+    pub fn blur(&mut self, sigma_px: f64) {
+        let reach = (3.0 * sigma_px).ceil() as usize;
+        let falloff: Vec<f32> = (0..=2 * reach)
+            .map(|idx| (idx as f64 - reach as f64) / sigma_px)
+            .map(|offset| (-0.5 * offset * offset).exp() as f32)
+            .collect();
+        let scale = 1.0 / falloff.iter().sum::<f32>();
+        let weights: Vec<f32> = falloff.iter().map(|weight| weight * scale).collect();
+        let (width, height) = (self.width, self.height);
+        let inside =
+            |at: usize, step: usize, end: usize| (at + step).saturating_sub(reach).min(end);
+        let mut across = vec![0.0; self.levels.len()];
+        for y in 0..height {
+            let row = &self.levels[y * width..(y + 1) * width];
+            let blurred = &mut across[y * width..(y + 1) * width];
+            for (step, weight) in weights.iter().enumerate() {
+                for (x, sum) in blurred.iter_mut().enumerate() {
+                    *sum += weight * row[inside(x, step, width - 1)];
+                }
+            }
+        }
+        self.levels.fill(0.0);
+        for (step, weight) in weights.iter().enumerate() {
+            for y in 0..height {
+                let from = inside(y, step, height - 1) * width;
+                let row = &across[from..from + width];
+                let sums = &mut self.levels[y * width..(y + 1) * width];
+                for (sum, level) in sums.iter_mut().zip(row) {
+                    *sum += weight * level;
+                }
+            }
+        }
+    }
+
     /// Adds a light; what sticks out is cut off.
     pub fn add_spot(&mut self, spot: &LightSpot) {
         let streak_length = spot.streak_px[0].hypot(spot.streak_px[1]);

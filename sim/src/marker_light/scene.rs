@@ -70,7 +70,7 @@ impl MarkerScene {
     pub fn lab() -> Self {
         Self {
             size_px: [324, 244],
-            background: 15.0..60.0,
+            background: 15.0..50.0,
             window_px: None,
             before_window: false,
             sensor: Sensor {
@@ -284,6 +284,7 @@ impl MarkerScene {
             let down = y as f64 / height as f64 - 0.5;
             (level + slope_x * across + slope_y * down).clamp(low, high)
         });
+        picture.blur(self.sigma_px);
         picture
     }
 
@@ -295,6 +296,7 @@ impl MarkerScene {
             rng.random_range(0..room)
         });
         picture.fill_rectangle(corner, size, 400.0);
+        picture.blur(self.sigma_px);
         let [left, top] = corner.map(|value| value as f64);
         Some([left, top, left + size[0] as f64, top + size[1] as f64])
     }

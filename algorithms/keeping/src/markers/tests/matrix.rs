@@ -1,0 +1,192 @@
+//! Detection, wrong pairs and accuracy for each kind of light.
+//!
+//! `cargo test -p keeping matrix -- --nocapture` prints the table.
+
+use camera::Image;
+use geometry::Timestamp;
+use sim::marker_light::{MarkerFrame, MarkerScene, TruePair};
+
+use crate::markers::{FinderSettings, PairFinder, PaperPipeline, PaperSettings};
+
+/// A pair found in a picture.
+struct Found {
+    center_px: [f64; 2],
+    separation_px: f64,
+    sigma_separation_px: f64,
+}
+
+/// What a pipeline makes of many pictures of one kind.
+#[derive(Default)]
+struct Tally {
+    true_count: usize,
+    detected: usize,
+    /// Pictures with a pair that is none.
+    wrong: usize,
+    false_pairs_empty: usize,
+    picture_count: usize,
+    squared_error: f64,
+    squared_error_in_sigmas: f64,
+}
+
+impl Tally {
+    fn add(&mut self, frame: &MarkerFrame, found: &[Found]) {
+        self.picture_count += 1;
+        self.true_count += frame.pairs.len();
+        let fits = |pair: &TruePair, found: &Found| {
+            let center_px = pair.center_px();
+            let offset = [0, 1].map(|axis| center_px[axis] - found.center_px[axis]);
+            let error_px = found.separation_px - pair.separation_px();
+            offset[0].hypot(offset[1]) < 2.0 && error_px.abs() < 2.0
+        };
+        for pair in &frame.pairs {
+            if let Some(found) = found.iter().find(|found| fits(pair, found)) {
+                self.detected += 1;
+                let error_px = found.separation_px - pair.separation_px();
+                self.squared_error += error_px.powi(2);
+                self.squared_error_in_sigmas += (error_px / found.sigma_separation_px).powi(2);
+            }
+        }
+        let is_wrong = |found: &Found| !frame.pairs.iter().any(|pair| fits(pair, found));
+        self.wrong += usize::from(found.iter().any(is_wrong));
+    }
+
+    fn detected(&self) -> f64 {
+        self.detected as f64 / self.true_count as f64
+    }
+
+    fn wrong(&self) -> f64 {
+        self.wrong as f64 / self.picture_count as f64
+    }
+
+    fn false_pairs(&self) -> f64 {
+        self.false_pairs_empty as f64 / self.picture_count as f64
+    }
+
+    fn rmse_px(&self) -> f64 {
+        (self.squared_error / self.detected as f64).sqrt()
+    }
+
+    /// One if the stated sigma is right.
+    fn error_sigmas(&self) -> f64 {
+        (self.squared_error_in_sigmas / self.detected as f64).sqrt()
+    }
+}
+
+fn run(
+    scene: &MarkerScene,
+    picture_count: u64,
+    mut find: impl FnMut(&Image) -> Vec<Found>,
+) -> Tally {
+    let mut tally = Tally::default();
+    let empty = scene.without_pairs();
+    for seed in 0..picture_count {
+        let frame = scene.draw(seed);
+        tally.add(&frame, &find(&frame.image));
+        let frame = empty.draw(seed + 1_000_000);
+        tally.false_pairs_empty += usize::from(!find(&frame.image).is_empty());
+    }
+    tally
+}
+
+fn run_robust(scene: &MarkerScene, picture_count: u64) -> Tally {
+    let mut finder = PairFinder::new(FinderSettings::default(), 324);
+    run(scene, picture_count, |image| {
+        let pairs = finder.find(image).pairs.iter();
+        pairs
+            .map(|pair| Found {
+                center_px: pair.center_px,
+                separation_px: pair.separation_px,
+                sigma_separation_px: pair.sigma_separation_px,
+            })
+            .collect()
+    })
+}
+
+fn run_paper(scene: &MarkerScene, picture_count: u64) -> Tally {
+    run(scene, picture_count, |image| {
+        // Pictures are unrelated: each is a first one.
+        let mut pipeline = PaperPipeline::new(PaperSettings::default());
+        let pair = pipeline.find(image, Timestamp::from_nanoseconds(0));
+        let found = pair.map(|pair| Found {
+            center_px: [0, 1]
+                .map(|axis| 0.5 * (pair.markers_px[0][axis] + pair.markers_px[1][axis])),
+            separation_px: pair.separation_raw_px,
+            sigma_separation_px: f64::NAN,
+        });
+        found.into_iter().collect()
+    })
+}
+
+fn print_row(name: &str, paper: &Tally, robust: &Tally) {
+    let cells = |tally: &Tally| {
+        format!(
+            "{:6.3} {:6.3} {:7.4} {:6.3}",
+            tally.detected(),
+            tally.wrong(),
+            tally.rmse_px(),
+            tally.false_pairs()
+        )
+    };
+    println!(
+        "{name:16} | {} | {} {:5.2}",
+        cells(paper),
+        cells(robust),
+        robust.error_sigmas()
+    );
+}
+
+#[test]
+fn the_matrix_of_lights_is_met() {
+    let picture_count = std::env::var("MARKER_PICTURES").map_or(100, |n| n.parse().unwrap());
+    println!(
+        "                 | paper: detected, wrong, rmse px, false in empty | robust, error/sigma"
+    );
+    for (name, scene) in MarkerScene::matrix() {
+        let paper = run_paper(&scene, picture_count);
+        let robust = run_robust(&scene, picture_count);
+        print_row(&name, &paper, &robust);
+    }
+}
+
+#[test]
+fn debug_false() {
+    let rows = MarkerScene::matrix();
+    for name in ["lab", "bright"] {
+        let scene = &rows.iter().find(|row| row.0 == name).unwrap().1;
+        let mut finder = PairFinder::new(FinderSettings::default(), 324);
+        for seed in 0..100 {
+            let frame = scene.without_pairs().draw(seed + 1_000_000);
+            let found = finder.find(&frame.image);
+            println!(
+                "{name} {seed} lights {} noise {:.2}",
+                found.lights.len(),
+                found.noise
+            );
+            for pair in found.pairs.iter().take(2) {
+                println!(
+                    "{:.1?} {:?}",
+                    pair.mismatch,
+                    pair.lights.map(|l| (
+                        l.center_px,
+                        l.area_px,
+                        l.contrast,
+                        l.elongation,
+                        l.signal_to_noise
+                    ))
+                );
+                for l in pair.lights {
+                    let [x, y] = l.center_px.map(|v| v.round() as usize);
+                    for yy in y.saturating_sub(8)..(y + 9).min(244) {
+                        let r: Vec<String> = frame.image.row(yy)
+                            [x.saturating_sub(9)..(x + 10).min(324)]
+                            .iter()
+                            .map(|v| format!("{v:3}"))
+                            .collect();
+                        println!("   {}", r.join(" "));
+                    }
+                    println!();
+                }
+            }
+        }
+    }
+}
