@@ -6,6 +6,7 @@
 //!
 //! Buffers are reserved when a finder is made: no image costs an allocation, whatever it shows.
 
+mod background;
 // mod blink;
 mod finder;
 mod light;

@@ -2,6 +2,9 @@
 
 use camera::Image;
 
+use super::background::{
+    self, BOX_SIDE_MAX_PX, Background, PixelBox, RING_MARGIN_PX, RING_SIDE_MAX_PX,
+};
 use super::runs::Component;
 
 /// A small bright blob.
@@ -13,8 +16,6 @@ pub struct Light {
     pub sigma_px: f64,
     /// Pixels brighter than half-way between background and peak.
     pub area_px: u32,
-    /// Grey levels around it.
-    pub background: f64,
     /// Grey levels of its brightest pixel above the background.
     pub contrast: f64,
     /// Sum of grey levels above the background, near its centre more than far from it.
@@ -29,6 +30,7 @@ pub struct Light {
     pub axis_rad: f64,
     /// Standard deviations of its brighter half along and across that direction.
     pub spread_px: [f64; 2],
+    pub(super) background: Background,
 }
 
 /// What counts as a light.
@@ -41,15 +43,6 @@ pub(super) struct LightGates {
     pub elongation_max: f64,
 }
 
-/// Components wider or higher than this are no lights; also bounds the work on each.
-const BOX_SIDE_MAX_PX: u16 = 24;
-/// Free pixels between a component and the ring that shows its background.
-const RING_GAP_PX: u16 = 2;
-/// From a component's edge to its ring.
-const RING_MARGIN_PX: u16 = RING_GAP_PX + 1;
-const RING_SIDE_MAX_PX: usize = (BOX_SIDE_MAX_PX + 2 * RING_MARGIN_PX) as usize;
-const RING_PIXEL_COUNT_MAX: usize = 4 * RING_SIDE_MAX_PX;
-const RING_UPPER_SHARE: f64 = 0.8;
 /// Blobs of fewer pixels are hot pixels or noise.
 const AREA_PX_MIN: u32 = 2;
 /// A lens spreads a point: 3×3 pixels hold at least this many times the peak.
@@ -73,33 +66,6 @@ const SATURATED_FROM: u8 = 250;
 /// Rows of bits, one for each pixel inside a ring and on it.
 type Mask = [u32; RING_SIDE_MAX_PX];
 
-/// A rectangle of pixels, edges included.
-#[derive(Clone, Copy)]
-struct PixelBox {
-    left: usize,
-    top: usize,
-    right: usize,
-    bottom: usize,
-}
-
-impl PixelBox {
-    fn around(component: &Component, margin_px: u16, image: &Image) -> Self {
-        let low = |value: u16| usize::from(value.saturating_sub(margin_px));
-        let high = |value: u16, side: usize| usize::from(value + margin_px).min(side - 1);
-        Self {
-            left: low(component.left),
-            top: low(component.top),
-            right: high(component.right, image.width()),
-            bottom: high(component.bottom, image.height()),
-        }
-    }
-
-    fn contains(&self, [x, y]: [f64; 2]) -> bool {
-        (self.left as f64..=self.right as f64).contains(&x)
-            && (self.top as f64..=self.bottom as f64).contains(&y)
-    }
-}
-
 /// Gives `emit` each light in a component of pixels that stand out.
 ///
 /// Two lights whose tails meet are one component and are told apart by its brighter half.
@@ -115,14 +81,12 @@ pub(super) fn measure(
     }
     let area = PixelBox::around(component, RING_MARGIN_PX, image);
     let peak = brightest(image, &PixelBox::around(component, 0, image));
-    let ring = Ring::around(image, component);
-    let background = ring.median();
-    // Half-way above the brighter side of what is around it.
-    let upper = ring.upper();
-    if f64::from(peak) - upper < gates.contrast_min {
+    let background = background::around(image, component, gates.noise);
+    if f64::from(peak) - background.upper < gates.contrast_min {
         return;
     }
-    let half_level = 0.5 * (f64::from(peak) + upper);
+    // Half-way above the brighter side of what is around it.
+    let half_level = 0.5 * (f64::from(peak) + background.upper);
     let mut mask = mask_above(image, &area, half_level);
     while let Some(blob_mask) = take_blob(&mut mask) {
         // What reaches the ring goes on outside: a cable, or a light with a component of its own.
@@ -130,7 +94,7 @@ pub(super) fn measure(
             continue;
         }
         let blob = Blob::of(&blob_mask, &area, image);
-        if let Some(light) = blob.into_light(image, background, &area, gates) {
+        if let Some(light) = blob.into_light(image, &background, &area, gates) {
             emit(light);
         }
     }
@@ -142,63 +106,6 @@ fn brightest(image: &Image, area: &PixelBox) -> u8 {
         .copied()
         .max()
         .unwrap_or(0)
-}
-
-/// The pixels around a component, sorted.
-struct Ring {
-    pixels: [u8; RING_PIXEL_COUNT_MAX],
-    count: usize,
-}
-
-impl Ring {
-    fn around(image: &Image, component: &Component) -> Self {
-        let gap = RING_GAP_PX + 1;
-        let PixelBox {
-            left,
-            top,
-            right,
-            bottom,
-        } = PixelBox::around(component, gap, image);
-        let mut ring = Self {
-            pixels: [0; RING_PIXEL_COUNT_MAX],
-            count: 0,
-        };
-        // Where the image ends, its edge is no ring.
-        if component.top >= gap {
-            ring.extend(&image.row(top)[left..=right]);
-        }
-        if usize::from(component.bottom + gap) < image.height() {
-            ring.extend(&image.row(bottom)[left..=right]);
-        }
-        for y in top + 1..bottom {
-            if component.left >= gap {
-                ring.extend(&[image.get(left, y)]);
-            }
-            if usize::from(component.right + gap) < image.width() {
-                ring.extend(&[image.get(right, y)]);
-            }
-        }
-        ring.pixels[..ring.count].sort_unstable();
-        ring
-    }
-
-    fn extend(&mut self, pixels: &[u8]) {
-        self.pixels[self.count..self.count + pixels.len()].copy_from_slice(pixels);
-        self.count += pixels.len();
-    }
-
-    /// The mean of the middle half: as robust as the median, and finer than a grey level.
-    fn median(&self) -> f64 {
-        let middle = &self.pixels[self.count / 4..self.count - self.count / 4];
-        let sum: u32 = middle.iter().copied().map(u32::from).sum();
-        f64::from(sum) / middle.len().max(1) as f64
-    }
-
-    /// The level that a fifth of the ring exceeds; another light is less than that.
-    fn upper(&self) -> f64 {
-        let idx = (RING_UPPER_SHARE * self.count as f64) as usize;
-        f64::from(self.pixels[idx.min(self.count.saturating_sub(1))])
-    }
 }
 
 fn mask_above(image: &Image, area: &PixelBox, level: f64) -> Mask {
@@ -306,11 +213,11 @@ impl Blob {
     fn into_light(
         self,
         image: &Image,
-        background: f64,
+        background: &Background,
         area: &PixelBox,
         gates: &LightGates,
     ) -> Option<Light> {
-        let contrast = f64::from(self.peak) - background;
+        let contrast = f64::from(self.peak) - background.level;
         let (spread_px, axis_rad) = self.axes();
         let elongation = spread_px[0] / spread_px[1];
         let is_compact = (AREA_PX_MIN..=gates.area_px_max).contains(&self.area_px)
@@ -318,7 +225,7 @@ impl Blob {
         if contrast < gates.contrast_min || !is_compact {
             return None;
         }
-        if core_sum(image, self.mean_px, background) < CORE_OF_PEAK_MIN * contrast {
+        if core_sum(image, self.mean_px, background.level) < CORE_OF_PEAK_MIN * contrast {
             return None;
         }
         let sigma_px = (f64::from(self.area_px) / std::f64::consts::PI).sqrt() / HALF_HEIGHT_SIGMAS;
@@ -330,7 +237,6 @@ impl Blob {
             center_px: centroid.center_px,
             sigma_px: centroid.sigma_px.hypot(SIGMA_FLOOR_PX),
             area_px: self.area_px,
-            background,
             contrast,
             flux: centroid.flux,
             signal_to_noise: centroid.signal_to_noise,
@@ -338,6 +244,7 @@ impl Blob {
             elongation,
             axis_rad,
             spread_px,
+            background: *background,
         })
     }
 }
@@ -393,7 +300,7 @@ impl Weights {
         &self,
         image: &Image,
         start_px: [f64; 2],
-        background: f64,
+        background: &Background,
         noise: f64,
     ) -> Option<Centroid> {
         let mut center_px = start_px;
@@ -415,7 +322,12 @@ impl Weights {
     }
 
     /// `None` if nothing there is brighter than the background.
-    fn sum(&self, image: &Image, center_px: [f64; 2], background: f64) -> Option<WeightedSums> {
+    fn sum(
+        &self,
+        image: &Image,
+        center_px: [f64; 2],
+        background: &Background,
+    ) -> Option<WeightedSums> {
         let mut falloff = [[0.0; WEIGHT_SIDE_MAX_PX]; 2];
         let sides = [image.width(), image.height()];
         let mut range = [(0, 0); 2];
@@ -440,7 +352,7 @@ impl Weights {
             for (idx, (pixel, weight_x)) in row.iter().zip(&falloff[0]).enumerate() {
                 let dx = (range[0].0 + idx) as f64 - center_px[0];
                 let weight = weight_x * weight_y;
-                let value = weight * (f64::from(*pixel) - background);
+                let value = weight * (f64::from(*pixel) - background.behind(dx, dy));
                 sums.flux += value;
                 sums.moment[0] += value * dx;
                 sums.moment[1] += value * dy;

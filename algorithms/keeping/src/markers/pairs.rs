@@ -140,14 +140,20 @@ const OVERLAP_ROUNDS: usize = 2;
 impl MarkerPair {
     /// Measures both lights again, where that is better than their centroids.
     pub(super) fn refine(&mut self, image: &Image, noise: f64) {
-        let fit = |light: &Light, other: Option<&LogParabola>| {
-            LogParabola::fit(image, light, noise, other)
+        let [first, second] = &self.lights;
+        let fit = |idx: usize, other: Option<&LogParabola>| {
+            let (light, mate) = if idx == 0 {
+                (first, second)
+            } else {
+                (second, first)
+            };
+            LogParabola::fit(image, light, mate, noise, other)
         };
-        let mut fits = [0, 1].map(|idx| fit(&self.lights[idx], None));
+        let mut fits = [0, 1].map(|idx| fit(idx, None));
         let overlaps = self.separation_px < OVERLAP_PX;
         for _ in 0..if overlaps { OVERLAP_ROUNDS } else { 0 } {
             let before = fits;
-            fits = [0, 1].map(|idx| fit(&self.lights[idx], before[1 - idx].as_ref()));
+            fits = [0, 1].map(|idx| fit(idx, before[1 - idx].as_ref()));
         }
         for (light, fit) in self.lights.iter_mut().zip(fits) {
             if let Some(fit) = fit.filter(|_| light.saturated || overlaps) {

@@ -35,8 +35,17 @@ const REACH_PX: f64 = 1.6;
 const STEP_MAX_PX: f64 = 1.0;
 
 impl LogParabola {
-    /// Fits the pixels around a light, less what the `other` light adds to them.
-    pub fn fit(image: &Image, light: &Light, noise: f64, other: Option<&Self>) -> Option<Self> {
+    /// Fits the pixels around a light.
+    ///
+    /// - `mate`: the other light of the pair; pixels nearer to it are left to it.
+    /// - `other`: what the mate adds to the rest, if that is known already.
+    pub fn fit(
+        image: &Image,
+        light: &Light,
+        mate: &Light,
+        noise: f64,
+        other: Option<&Self>,
+    ) -> Option<Self> {
         let origin_px = light.center_px;
         let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
         let (mut squares, mut count) = (0.0, 0);
@@ -58,8 +67,13 @@ impl LogParabola {
                     continue;
                 }
                 let at = [x as f64, y as f64];
+                let to_mate = [0, 1].map(|axis| mate.center_px[axis] - at[axis]);
+                if to_mate[0].hypot(to_mate[1]) < offset[0].hypot(offset[1]) {
+                    continue;
+                }
                 let of_other = other.map_or(0.0, |other| other.level_at(at));
-                let level = f64::from(pixel) - light.background - of_other;
+                let level =
+                    f64::from(pixel) - light.background.behind(offset[0], offset[1]) - of_other;
                 if level < level_min {
                     continue;
                 }
