@@ -25,11 +25,17 @@ pub(super) struct Background {
     pub level: f64,
     /// The level that a fifth of the ring exceeds.
     pub upper: f64,
+    edge: f64,
     /// In front of an edge there is another level in each direction.
     octants: Option<[f64; OCTANT_COUNT]>,
 }
 
 impl Background {
+    /// What two sides of an edge behind the light differ by, or zero if there is none.
+    pub fn edge(&self) -> f64 {
+        self.edge
+    }
+
     /// The level behind a pixel, given its offset from the light.
     pub fn behind(&self, dx: f64, dy: f64) -> f64 {
         match &self.octants {
@@ -91,6 +97,7 @@ pub(super) fn around(image: &Image, component: &Component, noise: f64) -> Backgr
         return Background {
             level: 0.0,
             upper: 0.0,
+            edge: 0.0,
             octants: None,
         };
     }
@@ -100,10 +107,12 @@ pub(super) fn around(image: &Image, component: &Component, noise: f64) -> Backgr
     let middle = &sorted[count / 4..count - count / 4];
     let sum: u32 = middle.iter().copied().map(u32::from).sum();
     let level = f64::from(sum) / middle.len() as f64;
-    let has_edge = f64::from(upper - lower) > EDGE_SIGMAS * noise.max(1.0);
+    let difference = f64::from(upper - lower);
+    let has_edge = difference > EDGE_SIGMAS * noise.max(1.0);
     Background {
         level,
         upper: f64::from(upper),
+        edge: if has_edge { difference } else { 0.0 },
         octants: has_edge.then(|| ring.octant_levels(upper, level)),
     }
 }

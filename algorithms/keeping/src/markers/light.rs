@@ -33,6 +33,13 @@ pub struct Light {
     pub(super) background: Background,
 }
 
+impl Light {
+    /// What is behind it differs too much from side to side to be taken from its flanks.
+    pub(super) fn is_before_edge(&self) -> bool {
+        self.background.edge() > EDGE_OF_CONTRAST_MAX * self.contrast
+    }
+}
+
 /// What counts as a light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LightGates {
@@ -58,6 +65,10 @@ const WEIGHT_SIDE_MAX_PX: usize = 2 * 13 + 1;
 const CENTROID_ROUNDS: usize = 4;
 const CENTROID_STEP_MAX_PX: f64 = 1.0;
 const SLOPE_OF_FLUX_MIN: f64 = 0.1;
+/// Flanks tell more than the shape of the brighter half unless an edge is this share of them.
+const EDGE_OF_CONTRAST_MAX: f64 = 0.25;
+/// Accuracy of the centre of the brighter half.
+const SIGMA_OF_HALF_PX: f64 = 0.1;
 /// Sampling and rounding leave this much even without noise.
 const SIGMA_FLOOR_PX: f64 = 0.012;
 /// From here on a pixel may be clipped.
@@ -94,7 +105,7 @@ pub(super) fn measure(
             continue;
         }
         let blob = Blob::of(&blob_mask, &area, image);
-        if let Some(light) = blob.into_light(image, &background, &area, gates) {
+        if let Some(light) = blob.into_light(image, &background, &area, &blob_mask, gates) {
             emit(light);
         }
     }
@@ -126,7 +137,6 @@ fn take_blob(mask: &mut Mask) -> Option<Mask> {
     let first_row = mask.iter().position(|bits| *bits != 0)?;
     let mut blob = Mask::default();
     blob[first_row] = mask[first_row] & mask[first_row].wrapping_neg();
-    let widen = |bits: u32| bits | bits << 1 | bits >> 1;
     loop {
         let mut changed = false;
         // Downwards and upwards in turn, so that convex blobs take two sweeps.
@@ -211,10 +221,11 @@ impl Blob {
     }
 
     fn into_light(
-        self,
+        &self,
         image: &Image,
         background: &Background,
         area: &PixelBox,
+        mask: &Mask,
         gates: &LightGates,
     ) -> Option<Light> {
         let contrast = f64::from(self.peak) - background.level;
@@ -231,9 +242,7 @@ impl Blob {
         let sigma_px = (f64::from(self.area_px) / std::f64::consts::PI).sqrt() / HALF_HEIGHT_SIGMAS;
         let weights = Weights::new(sigma_px.clamp(WEIGHT_SIGMA_MIN_PX, WEIGHT_SIGMA_MAX_PX));
         let centroid = weights.centroid(image, self.mean_px, background, gates.noise)?;
-        let is_usable = area.contains(centroid.center_px)
-            && centroid.signal_to_noise >= gates.signal_to_noise_min;
-        is_usable.then_some(Light {
+        let mut light = Light {
             center_px: centroid.center_px,
             sigma_px: centroid.sigma_px.hypot(SIGMA_FLOOR_PX),
             area_px: self.area_px,
@@ -245,8 +254,40 @@ impl Blob {
             axis_rad,
             spread_px,
             background: *background,
-        })
+        };
+        if light.saturated && light.is_before_edge() {
+            light.center_px = half_centroid(mask, area, image, background.upper);
+            light.sigma_px = SIGMA_OF_HALF_PX;
+        }
+        let is_usable = area.contains(centroid.center_px)
+            && centroid.signal_to_noise >= gates.signal_to_noise_min;
+        is_usable.then_some(light)
     }
+}
+
+/// The centroid of a blob and the pixels that touch it, above the brighter side of what is behind.
+fn half_centroid(mask: &Mask, area: &PixelBox, image: &Image, upper: f64) -> [f64; 2] {
+    let row_bits = |row: usize| mask.get(row).copied().unwrap_or(0);
+    let (mut sum, mut moment) = (0.0, [0.0; 2]);
+    for (row, y) in (area.top..=area.bottom).enumerate() {
+        let near = row_bits(row) | row_bits(row.wrapping_sub(1)) | row_bits(row + 1);
+        let near = widen(near);
+        for (column, x) in (area.left..=area.right).enumerate() {
+            if near >> column & 1 == 0 {
+                continue;
+            }
+            let level = (f64::from(image.get(x, y)) - upper).max(0.0);
+            sum += level;
+            moment[0] += level * x as f64;
+            moment[1] += level * y as f64;
+        }
+    }
+    moment.map(|moment| moment / sum)
+}
+
+/// The bits and their neighbours.
+fn widen(bits: u32) -> u32 {
+    bits | bits << 1 | bits >> 1
 }
 
 /// The sum of the 3×3 pixels at a centre, above the background.

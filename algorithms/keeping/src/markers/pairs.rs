@@ -118,6 +118,12 @@ fn mismatch(a: &Light, b: &Light, gates: &PairGates) -> Option<f64> {
     let tilt = angle_between_lines(offset[1].atan2(offset[0]), gates.baseline_rad);
     let log_area = (f64::from(a.area_px) / f64::from(b.area_px)).ln().abs();
     let log_contrast = (a.contrast / b.contrast).ln().abs();
+    // Clipped peaks are equal, however different the backgrounds are.
+    let log_contrast = if a.saturated && b.saturated {
+        0.0
+    } else {
+        log_contrast
+    };
     let is_possible = tilt <= gates.tilt_max_rad
         && log_area <= gates.area_ratio_max.ln()
         && log_contrast <= gates.contrast_ratio_max.ln();
@@ -156,7 +162,8 @@ impl MarkerPair {
             fits = [0, 1].map(|idx| fit(idx, before[1 - idx].as_ref()));
         }
         for (light, fit) in self.lights.iter_mut().zip(fits) {
-            if let Some(fit) = fit.filter(|_| light.saturated || overlaps) {
+            let is_better = (light.saturated || overlaps) && !light.is_before_edge();
+            if let Some(fit) = fit.filter(|_| is_better) {
                 light.center_px = fit.center_px;
                 light.sigma_px = fit.sigma_px;
             }
