@@ -5,6 +5,7 @@ use camera::Image;
 use super::background::{
     self, BOX_SIDE_MAX_PX, Background, PixelBox, RING_MARGIN_PX, RING_SIDE_MAX_PX,
 };
+use super::refine::{LogParabola, LogPeak};
 use super::runs::Component;
 
 /// A small bright blob.
@@ -31,9 +32,20 @@ pub struct Light {
     /// Standard deviations of its brighter half along and across that direction.
     pub spread_px: [f64; 2],
     pub(super) background: Background,
+    /// What its flanks tell, unless there is an edge behind them.
+    pub(super) flanks: Option<LogParabola>,
 }
 
 impl Light {
+    pub(super) fn log_peak(&self) -> Option<LogPeak> {
+        self.flanks.map(|flanks| flanks.log_peak(self.contrast))
+    }
+
+    pub(super) fn move_to(&mut self, flanks: &LogParabola) {
+        self.center_px = flanks.center_px;
+        self.sigma_px = flanks.sigma_px;
+    }
+
     /// What is behind it differs too much from side to side to be taken from its flanks.
     pub(super) fn is_before_edge(&self) -> bool {
         self.background.edge() > EDGE_OF_CONTRAST_MAX * self.contrast
@@ -254,10 +266,13 @@ impl Blob {
             axis_rad,
             spread_px,
             background: *background,
+            flanks: None,
         };
         if light.saturated && light.is_before_edge() {
             light.center_px = half_centroid(mask, area, image, background.upper);
             light.sigma_px = SIGMA_OF_HALF_PX;
+        } else {
+            light.flanks = LogParabola::fit(image, &light, None, gates.noise, None);
         }
         let is_usable = area.contains(centroid.center_px)
             && centroid.signal_to_noise >= gates.signal_to_noise_min;

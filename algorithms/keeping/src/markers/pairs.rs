@@ -48,8 +48,8 @@ pub(super) struct Candidate {
     second: u16,
 }
 
-/// Brightness of the two lights of one drone, one standard deviation of its log.
-const LOG_FLUX_SIGMA: f64 = 0.2;
+/// Brightness of the two lights of one drone, one standard deviation of its logarithm.
+const LOG_CONTRAST_SIGMA: f64 = 0.15;
 /// A whole number of pixels: coarse for small lights.
 const LOG_AREA_SIGMA: f64 = 0.4;
 /// Lights of one drone have the same shape, whatever blurs them.
@@ -117,20 +117,14 @@ fn mismatch(a: &Light, b: &Light, gates: &PairGates) -> Option<f64> {
     }
     let tilt = angle_between_lines(offset[1].atan2(offset[0]), gates.baseline_rad);
     let log_area = (f64::from(a.area_px) / f64::from(b.area_px)).ln().abs();
-    let log_contrast = (a.contrast / b.contrast).ln().abs();
-    // Clipped peaks are equal, however different the backgrounds are.
-    let log_contrast = if a.saturated && b.saturated {
-        0.0
-    } else {
-        log_contrast
-    };
+    let (log_contrast, sigma) = compare_brightness(a, b, separation_px);
     let is_possible = tilt <= gates.tilt_max_rad
         && log_area <= gates.area_ratio_max.ln()
-        && log_contrast <= gates.contrast_ratio_max.ln();
-    let log_flux = (a.flux / b.flux).ln();
+        && log_contrast <= gates.contrast_ratio_max.ln() + GATE_SIGMAS * sigma;
+    let contrast_sigma = sigma.hypot(LOG_CONTRAST_SIGMA);
     let square = |value: f64| value * value;
     is_possible.then(|| {
-        square(log_flux / LOG_FLUX_SIGMA)
+        square(log_contrast / contrast_sigma)
             + square(log_area / LOG_AREA_SIGMA)
             + square((a.elongation - b.elongation) / ELONGATION_SIGMA)
             + square(tilt / gates.tilt_max_rad)
@@ -138,14 +132,55 @@ fn mismatch(a: &Light, b: &Light, gates: &PairGates) -> Option<f64> {
     })
 }
 
+/// How far apart the logarithms of their brightness are, and how well that is known.
+///
+/// Clipped peaks are equal; flanks tell them apart, unless other things disturb those.
+fn compare_brightness(a: &Light, b: &Light, separation_px: f64) -> (f64, f64) {
+    let disturbance = if separation_px < OVERLAP_PX {
+        OVERLAP_LOG_SIGMA
+    } else {
+        0.0
+    };
+    match a.log_peak().zip(b.log_peak()) {
+        Some((a, b)) => {
+            let sigma = a.sigma.hypot(b.sigma).hypot(disturbance);
+            ((a.value - b.value).abs(), sigma)
+        }
+        None if a.saturated && b.saturated => (0.0, 0.0),
+        None => ((a.contrast / b.contrast).ln().abs(), 0.0),
+    }
+}
+
 /// Closer lights than this add to each other's flanks.
 const OVERLAP_PX: f64 = 9.0;
+/// And make each other's peaks uncertain by this.
+const OVERLAP_LOG_SIGMA: f64 = 0.4;
+/// Gates open by this many sigmas of what is compared.
+const GATE_SIGMAS: f64 = 3.0;
 /// How often each light is measured without the other.
 const OVERLAP_ROUNDS: usize = 2;
 
 impl MarkerPair {
-    /// Measures both lights again, where that is better than their centroids.
+    /// Measures the lights by their flanks, where that is better than their centroids: where
+    /// peaks are clipped, and where each shines on the other's flanks.
     pub(super) fn refine(&mut self, image: &Image, noise: f64) {
+        let overlaps = self.separation_px < OVERLAP_PX;
+        let before_edge = self.lights.iter().any(Light::is_before_edge);
+        let flanks = if overlaps && !before_edge {
+            self.separate_flanks(image, noise)
+        } else {
+            self.lights.map(|light| light.flanks)
+        };
+        for (light, flanks) in self.lights.iter_mut().zip(flanks) {
+            if let Some(flanks) = flanks.filter(|_| light.saturated || overlaps) {
+                light.move_to(&flanks);
+            }
+        }
+        *self = Self::of(self.lights[0], self.lights[1], self.mismatch);
+    }
+
+    /// Fits each light without what the other adds to it.
+    fn separate_flanks(&self, image: &Image, noise: f64) -> [Option<LogParabola>; 2] {
         let [first, second] = &self.lights;
         let fit = |idx: usize, other: Option<&LogParabola>| {
             let (light, mate) = if idx == 0 {
@@ -153,22 +188,14 @@ impl MarkerPair {
             } else {
                 (second, first)
             };
-            LogParabola::fit(image, light, mate, noise, other)
+            LogParabola::fit(image, light, Some(mate), noise, other)
         };
         let mut fits = [0, 1].map(|idx| fit(idx, None));
-        let overlaps = self.separation_px < OVERLAP_PX;
-        for _ in 0..if overlaps { OVERLAP_ROUNDS } else { 0 } {
+        for _ in 0..OVERLAP_ROUNDS {
             let before = fits;
             fits = [0, 1].map(|idx| fit(idx, before[1 - idx].as_ref()));
         }
-        for (light, fit) in self.lights.iter_mut().zip(fits) {
-            let is_better = (light.saturated || overlaps) && !light.is_before_edge();
-            if let Some(fit) = fit.filter(|_| is_better) {
-                light.center_px = fit.center_px;
-                light.sigma_px = fit.sigma_px;
-            }
-        }
-        *self = Self::of(self.lights[0], self.lights[1], self.mismatch);
+        fits
     }
 
     fn of(a: Light, b: Light, mismatch: f64) -> Self {

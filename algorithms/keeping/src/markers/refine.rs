@@ -10,7 +10,7 @@ use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 use super::light::Light;
 
 /// A Gaussian over pixels: `exp(constant + g·x + xᵀ H x / 2)`, with `x` from the origin.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LogParabola {
     origin_px: [f64; 2],
     constant: f64,
@@ -19,6 +19,14 @@ pub(super) struct LogParabola {
     pub center_px: [f64; 2],
     /// Standard deviation of each coordinate of the centre.
     pub sigma_px: f64,
+    sigma_log_peak: f64,
+}
+
+/// The natural logarithm of a light's peak above the background, were it not clipped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LogPeak {
+    pub value: f64,
+    pub sigma: f64,
 }
 
 /// From here on a pixel may be clipped.
@@ -27,6 +35,8 @@ const CLIPPED_FROM: u8 = 250;
 const LEVEL_OF_CONTRAST_MIN: f64 = 0.1;
 /// Below this many sigmas of the noise the logarithm is not that of the light.
 const LEVEL_SIGMAS_MIN: f64 = 3.0;
+/// Peaks are guessed from flanks with this share of what is missing as their sigma.
+const CLIPPED_SIGMA_SHARE: f64 = 0.15;
 /// Six numbers need more pixels than that.
 const PIXEL_COUNT_MIN: usize = 9;
 /// Pixels this far outside the brighter half still belong to the light.
@@ -37,12 +47,12 @@ const STEP_MAX_PX: f64 = 1.0;
 impl LogParabola {
     /// Fits the pixels around a light.
     ///
-    /// - `mate`: the other light of the pair; pixels nearer to it are left to it.
+    /// - `mate`: the other light of a pair; pixels nearer to it are left to it.
     /// - `other`: what the mate adds to the rest, if that is known already.
     pub fn fit(
         image: &Image,
         light: &Light,
-        mate: &Light,
+        mate: Option<&Light>,
         noise: f64,
         other: Option<&Self>,
     ) -> Option<Self> {
@@ -67,8 +77,11 @@ impl LogParabola {
                     continue;
                 }
                 let at = [x as f64, y as f64];
-                let to_mate = [0, 1].map(|axis| mate.center_px[axis] - at[axis]);
-                if to_mate[0].hypot(to_mate[1]) < offset[0].hypot(offset[1]) {
+                let is_of_mate = mate.is_some_and(|mate| {
+                    let to_mate = [0, 1].map(|axis| mate.center_px[axis] - at[axis]);
+                    to_mate[0].hypot(to_mate[1]) < offset[0].hypot(offset[1])
+                });
+                if is_of_mate {
                     continue;
                 }
                 let of_other = other.map_or(0.0, |other| other.level_at(at));
@@ -98,14 +111,13 @@ impl LogParabola {
         let residual = (squares - solution.dot(&right)).max(0.0) / (count as f64 - 6.0).max(1.0);
         // What the model does not explain counts as noise.
         let variance = residual.max(noise * noise);
-        let covariance: Matrix2<f64> = inverse.fixed_view::<2, 2>(1, 1).into_owned() * variance;
-        Self::from_solution(origin_px, &solution, &covariance)
+        Self::from_solution(origin_px, &solution, &(inverse * variance))
     }
 
     fn from_solution(
         origin_px: [f64; 2],
         solution: &Vector6<f64>,
-        covariance_of_gradient: &Matrix2<f64>,
+        solution_covariance: &Matrix6<f64>,
     ) -> Option<Self> {
         let gradient = Vector2::new(solution[1], solution[2]);
         let hessian = Matrix2::new(
@@ -117,7 +129,8 @@ impl LogParabola {
         let is_peak = hessian.trace() < 0.0 && hessian.determinant() > 0.0;
         let inverse = hessian.try_inverse().filter(|_| is_peak)?;
         let step = -inverse * gradient;
-        let covariance = inverse * covariance_of_gradient * inverse;
+        let gradient_covariance = solution_covariance.fixed_view::<2, 2>(1, 1);
+        let covariance = inverse * gradient_covariance * inverse;
         let sigma_px = (0.5 * covariance.trace()).sqrt();
         (step.norm() <= STEP_MAX_PX && sigma_px.is_finite()).then(|| Self {
             origin_px,
@@ -126,14 +139,29 @@ impl LogParabola {
             hessian,
             center_px: [origin_px[0] + step.x, origin_px[1] + step.y],
             sigma_px,
+            // The centre is so near the origin that the constant is the peak.
+            sigma_log_peak: solution_covariance[(0, 0)].sqrt(),
         })
+    }
+
+    ///
+    /// - `contrast`: of the peak as it is seen; the farther above it, the less sure.
+    pub fn log_peak(&self, contrast: f64) -> LogPeak {
+        let value = self.log_level_at(self.center_px);
+        let clipped = (value - contrast.ln()).max(0.0);
+        LogPeak {
+            value,
+            sigma: self.sigma_log_peak.hypot(CLIPPED_SIGMA_SHARE * clipped),
+        }
     }
 
     /// Grey levels above the background.
     fn level_at(&self, at_px: [f64; 2]) -> f64 {
+        self.log_level_at(at_px).exp()
+    }
+
+    fn log_level_at(&self, at_px: [f64; 2]) -> f64 {
         let offset = Vector2::new(at_px[0] - self.origin_px[0], at_px[1] - self.origin_px[1]);
-        let exponent =
-            self.constant + self.gradient.dot(&offset) + 0.5 * offset.dot(&(self.hessian * offset));
-        exponent.exp()
+        self.constant + self.gradient.dot(&offset) + 0.5 * offset.dot(&(self.hessian * offset))
     }
 }
