@@ -7,7 +7,7 @@
 //! Buffers are reserved when a finder is made: no image costs an allocation, whatever it shows.
 
 mod background;
-// mod blink;
+mod blink;
 mod finder;
 mod light;
 mod pairs;
@@ -15,15 +15,16 @@ mod paper;
 mod refine;
 mod runs;
 mod scan;
-// mod tracker;
-// mod vision;
+mod tracker;
+mod vision;
 
-// pub use blink::BlinkCode;
+pub use blink::BlinkCode;
 pub use finder::{FinderSettings, FramePairs, PairFinder};
 pub use light::Light;
 pub use pairs::{MarkerPair, MergedPair};
 pub use paper::{PaperPair, PaperPipeline, PaperSettings};
-// pub use vision::{CameraMarkers, MarkerVision};
+pub use tracker::{EgoMotion, MarkerTrack, MarkerTracker, TrackId, TrackState, TrackerSettings};
+pub use vision::{CameraMarkers, MarkerVision};
 
 #[cfg(test)]
 mod tests;

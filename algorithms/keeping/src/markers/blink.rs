@@ -47,7 +47,9 @@ impl BlinkCode {
 
     /// Whether a light is full at this time of its own clock.
     pub fn is_full(&self, time_s: f64) -> bool {
-        let bit = (time_s / self.bit_s).floor().rem_euclid(f64::from(self.bit_count));
+        let bit = (time_s / self.bit_s)
+            .floor()
+            .rem_euclid(f64::from(self.bit_count));
         self.bits >> (bit as u32).min(31) & 1 == 1
     }
 
@@ -69,7 +71,8 @@ impl BlinkCode {
     }
 
     fn fits(&self, history: &[Brightness], mean: f64, offset_s: f64) -> bool {
-        let expected = |sample: &Brightness| f64::from(u8::from(self.is_full(sample.time_s + offset_s)));
+        let expected =
+            |sample: &Brightness| f64::from(u8::from(self.is_full(sample.time_s + offset_s)));
         let count = history.len() as f64;
         let share = history.iter().map(expected).sum::<f64>() / count;
         let (mut product, mut squares) = (0.0, 0.0);
@@ -106,8 +109,14 @@ mod tests {
     fn only_its_own_code_is_recognised() {
         let code = BlinkCode::new(0b0001_1101, 8, 0.1).unwrap();
         let other = BlinkCode::new(0b0101_0101, 8, 0.1).unwrap();
-        assert_eq!(code.is_shown_by(&history(|time_s| code.is_full(time_s))), Some(true));
-        assert_eq!(code.is_shown_by(&history(|time_s| other.is_full(time_s))), Some(false));
+        assert_eq!(
+            code.is_shown_by(&history(|time_s| code.is_full(time_s))),
+            Some(true)
+        );
+        assert_eq!(
+            code.is_shown_by(&history(|time_s| other.is_full(time_s))),
+            Some(false)
+        );
         assert_eq!(code.is_shown_by(&history(|_| true)), Some(false));
         assert_eq!(code.is_shown_by(&history(|_| true)[..10]), None);
     }

@@ -6,7 +6,7 @@ use camera::Image;
 
 use super::light::{self, Light, LightGates};
 use super::pairs::{self, Candidate, MarkerPair, MergedPair, PairGates};
-use super::runs::{Run, RunJoiner};
+use super::runs::{Component, Run, RunJoiner};
 use super::scan;
 
 /// What counts as a pair of marker lights.
@@ -59,6 +59,8 @@ pub struct PairFinder {
     settings: FinderSettings,
     padded_row: Vec<u8>,
     joiner: RunJoiner,
+    /// Components with the grey level at their centre.
+    brightest: Vec<(u8, Component)>,
     lights: Vec<Light>,
     candidates: Vec<Candidate>,
     taken: Vec<bool>,
@@ -68,8 +70,10 @@ pub struct PairFinder {
 
 /// A frame with more runs than this is full of noise.
 const RUN_COUNT_MAX: u16 = 1024;
+/// Of more components only the brightest are looked at.
+const COMPONENT_COUNT_MAX: usize = 64;
 /// The faintest are forgotten.
-const LIGHT_COUNT_MAX: usize = 48;
+const LIGHT_COUNT_MAX: usize = 32;
 const PAIR_COUNT_MAX: usize = 16;
 /// Contrasts from here on tell nothing about the noise.
 const CONTRAST_MIN_MAX: f64 = 200.0;
@@ -97,6 +101,7 @@ impl PairFinder {
             settings,
             padded_row: vec![0; width_max_px + 2 * scan::ARM_PX],
             joiner: RunJoiner::with_run_count_max(RUN_COUNT_MAX),
+            brightest: Vec::with_capacity(usize::from(RUN_COUNT_MAX)),
             lights: Vec::with_capacity(LIGHT_COUNT_MAX),
             candidates: Vec::with_capacity(LIGHT_COUNT_MAX * LIGHT_COUNT_MAX / 2),
             taken: Vec::with_capacity(LIGHT_COUNT_MAX),
@@ -133,7 +138,7 @@ impl PairFinder {
             elongation_max: ELONGATION_MAX,
         };
         let crowded = self.collect_lights(image, &gates).is_err();
-        self.pair_lights();
+        self.pair_lights(image, noise);
         for pair in &mut self.pairs {
             pair.refine(image, noise);
         }
@@ -156,14 +161,31 @@ impl PairFinder {
         // The ring tells the background better than the arms do; they are only to miss nothing.
         let threshold = gates.contrast_min as u8;
         scan::find_bright(image, threshold, &mut self.padded_row, &mut self.joiner)?;
-        let lights = &mut self.lights;
-        for component in self.joiner.components() {
+        let brightness = |component: &Component| {
+            let [x, y] = component.centroid_px();
+            image.get(x.round() as usize, y.round() as usize)
+        };
+        let (lights, brightest) = (&mut self.lights, &mut self.brightest);
+        brightest.clear();
+        let components = self.joiner.components().iter();
+        brightest.extend(
+            components
+                .filter(|component| component.area_px > 1)
+                .map(|component| (brightness(component), *component)),
+        );
+        if brightest.len() > COMPONENT_COUNT_MAX {
+            brightest.select_nth_unstable_by_key(COMPONENT_COUNT_MAX, |(brightness, _)| {
+                std::cmp::Reverse(*brightness)
+            });
+            brightest.truncate(COMPONENT_COUNT_MAX);
+        }
+        for (_, component) in brightest {
             light::measure(image, component, gates, |light| keep(lights, light));
         }
         Ok(())
     }
 
-    fn pair_lights(&mut self) {
+    fn pair_lights(&mut self, image: &Image, noise: f64) {
         let gates = PairGates {
             separation_px_min: self.settings.separation_px_min,
             separation_px_max: self.settings.separation_px_max,
@@ -173,7 +195,9 @@ impl PairFinder {
             contrast_ratio_max: CONTRAST_RATIO_MAX,
         };
         pairs::find_pairs(
-            &self.lights,
+            image,
+            noise,
+            &mut self.lights,
             &gates,
             &mut self.candidates,
             &mut self.taken,

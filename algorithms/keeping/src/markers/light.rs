@@ -41,6 +41,13 @@ impl Light {
         self.flanks.map(|flanks| flanks.log_peak(self.contrast))
     }
 
+    /// Fits its flanks, if they tell anything.
+    pub(super) fn fit_flanks(&mut self, image: &Image, noise: f64) {
+        if !self.is_before_edge() {
+            self.flanks = LogParabola::fit(image, self, None, noise, None);
+        }
+    }
+
     pub(super) fn move_to(&mut self, flanks: &LogParabola) {
         self.center_px = flanks.center_px;
         self.sigma_px = flanks.sigma_px;
@@ -65,7 +72,7 @@ pub(super) struct LightGates {
 /// Blobs of fewer pixels are hot pixels or noise.
 const AREA_PX_MIN: u32 = 2;
 /// A lens spreads a point: 3×3 pixels hold at least this many times the peak.
-const CORE_OF_PEAK_MIN: f64 = 1.9;
+const CORE_OF_PEAK_MIN: f64 = 2.2;
 /// Radius of a round blob at half its height, in sigmas of its Gaussian.
 const HALF_HEIGHT_SIGMAS: f64 = 1.1774;
 /// Narrower weights would see single pixels.
@@ -98,6 +105,9 @@ pub(super) fn measure(
     gates: &LightGates,
     mut emit: impl FnMut(Light),
 ) {
+    if component.area_px < AREA_PX_MIN {
+        return;
+    }
     let too_long = |low: u16, high: u16| high - low >= BOX_SIDE_MAX_PX;
     if too_long(component.left, component.right) || too_long(component.top, component.bottom) {
         return;
@@ -271,8 +281,6 @@ impl Blob {
         if light.saturated && light.is_before_edge() {
             light.center_px = half_centroid(mask, area, image, background.upper);
             light.sigma_px = SIGMA_OF_HALF_PX;
-        } else {
-            light.flanks = LogParabola::fit(image, &light, None, gates.noise, None);
         }
         let is_usable = area.contains(centroid.center_px)
             && centroid.signal_to_noise >= gates.signal_to_noise_min;

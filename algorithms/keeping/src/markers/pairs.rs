@@ -63,10 +63,13 @@ pub(super) fn angle_between_lines(a_rad: f64, b_rad: f64) -> f64 {
 
 /// Finds disjoint pairs, the likeliest first.
 ///
+/// - `noise`: of a pixel of `image`.
 /// - `candidates`, `taken`: buffers, cleared here.
 /// - `pairs`: filled up to its capacity.
 pub(super) fn find_pairs(
-    lights: &[Light],
+    image: &Image,
+    noise: f64,
+    lights: &mut [Light],
     gates: &PairGates,
     candidates: &mut Vec<Candidate>,
     taken: &mut Vec<bool>,
@@ -78,23 +81,38 @@ pub(super) fn find_pairs(
             if candidates.len() == candidates.capacity() {
                 break;
             }
-            if let Some(mismatch) = mismatch(a, b, gates) {
+            if fits_geometry(a, b, gates) {
                 candidates.push(Candidate {
-                    mismatch,
+                    mismatch: 0.0,
                     first: first as u16,
                     second: second as u16,
                 });
             }
         }
     }
+    taken.clear();
+    taken.resize(lights.len(), false);
+    for candidate in candidates.iter() {
+        for idx in candidate.lights() {
+            // Only lights that may have a mate are worth the time.
+            if !std::mem::replace(&mut taken[idx], true) {
+                lights[idx].fit_flanks(image, noise);
+            }
+        }
+    }
+    candidates.retain_mut(|candidate| {
+        let [first, second] = candidate.lights();
+        let mismatch = mismatch(&lights[first], &lights[second], gates);
+        candidate.mismatch = mismatch.unwrap_or(f64::INFINITY);
+        mismatch.is_some()
+    });
     candidates.sort_unstable_by(|a, b| {
         let order = a.mismatch.total_cmp(&b.mismatch);
         order.then((a.first, a.second).cmp(&(b.first, b.second)))
     });
-    taken.clear();
-    taken.resize(lights.len(), false);
+    taken.fill(false);
     for candidate in candidates {
-        let (first, second) = (usize::from(candidate.first), usize::from(candidate.second));
+        let [first, second] = candidate.lights();
         if taken[first] || taken[second] || pairs.len() == pairs.capacity() {
             continue;
         }
@@ -108,18 +126,31 @@ pub(super) fn find_pairs(
     }
 }
 
-/// `None` if they are no pair for sure.
-fn mismatch(a: &Light, b: &Light, gates: &PairGates) -> Option<f64> {
-    let offset = [0, 1].map(|axis| b.center_px[axis] - a.center_px[axis]);
-    let separation_px = offset[0].hypot(offset[1]);
-    if !(gates.separation_px_min..=gates.separation_px_max).contains(&separation_px) {
-        return None;
+impl Candidate {
+    fn lights(&self) -> [usize; 2] {
+        [self.first, self.second].map(usize::from)
     }
+}
+
+/// Separation, and angle from the expected baseline.
+fn geometry(a: &Light, b: &Light, gates: &PairGates) -> (f64, f64) {
+    let offset = [0, 1].map(|axis| b.center_px[axis] - a.center_px[axis]);
     let tilt = angle_between_lines(offset[1].atan2(offset[0]), gates.baseline_rad);
+    (offset[0].hypot(offset[1]), tilt)
+}
+
+fn fits_geometry(a: &Light, b: &Light, gates: &PairGates) -> bool {
+    let (separation_px, tilt) = geometry(a, b, gates);
+    (gates.separation_px_min..=gates.separation_px_max).contains(&separation_px)
+        && tilt <= gates.tilt_max_rad
+}
+
+/// `None` if their brightness or size says that they are no pair.
+fn mismatch(a: &Light, b: &Light, gates: &PairGates) -> Option<f64> {
+    let (separation_px, tilt) = geometry(a, b, gates);
     let log_area = (f64::from(a.area_px) / f64::from(b.area_px)).ln().abs();
     let (log_contrast, sigma) = compare_brightness(a, b, separation_px);
-    let is_possible = tilt <= gates.tilt_max_rad
-        && log_area <= gates.area_ratio_max.ln()
+    let is_possible = log_area <= gates.area_ratio_max.ln()
         && log_contrast <= gates.contrast_ratio_max.ln() + GATE_SIGMAS * sigma;
     let contrast_sigma = sigma.hypot(LOG_CONTRAST_SIGMA);
     let square = |value: f64| value * value;

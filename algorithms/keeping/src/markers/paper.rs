@@ -102,18 +102,24 @@ impl PaperPipeline {
                 .filter(|component| self.settings.area_px.contains(&component.area_px))
                 .map(|component| component.centroid_px()),
         );
-        let centroids = &self.centroids_px;
-        let pairs = centroids.iter().enumerate().flat_map(|(idx, a)| {
-            let later = &centroids[idx + 1..];
-            later.iter().map(move |b| [*a, *b])
-        });
-        let plausible = pairs.filter(|[a, b]| {
-            let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-            let tilt = angle_between_lines(dy.atan2(dx), self.settings.baseline_rad);
-            self.settings.separation_px.contains(&dx.hypot(dy))
-                && tilt <= self.settings.tilt_max_rad
-        });
-        plausible.min_by(|a, b| separation_px(a).total_cmp(&separation_px(b)))
+        let mut closest: Option<(f64, [[f64; 2]; 2])> = None;
+        for (idx, a) in self.centroids_px.iter().enumerate() {
+            for b in &self.centroids_px[idx + 1..] {
+                let separation_px = separation_px(&[*a, *b]);
+                let is_closer = closest.is_none_or(|(least, _)| separation_px < least);
+                if is_closer && self.is_plausible(a, b, separation_px) {
+                    closest = Some((separation_px, [*a, *b]));
+                }
+            }
+        }
+        closest.map(|(_, pair)| pair)
+    }
+
+    fn is_plausible(&self, a: &[f64; 2], b: &[f64; 2], separation_px: f64) -> bool {
+        let direction_rad = (b[1] - a[1]).atan2(b[0] - a[0]);
+        self.settings.separation_px.contains(&separation_px)
+            && angle_between_lines(direction_rad, self.settings.baseline_rad)
+                <= self.settings.tilt_max_rad
     }
 
     fn associate(&self, [a, b]: [[f64; 2]; 2], captured_at: Timestamp) -> PaperPair {

@@ -37,6 +37,8 @@ const LEVEL_OF_CONTRAST_MIN: f64 = 0.1;
 const LEVEL_SIGMAS_MIN: f64 = 3.0;
 /// Peaks are guessed from flanks with this share of what is missing as their sigma.
 const CLIPPED_SIGMA_SHARE: f64 = 0.15;
+/// Grey levels are rounded.
+const NOISE_MIN: f64 = 0.5;
 /// Six numbers need more pixels than that.
 const PIXEL_COUNT_MIN: usize = 9;
 /// Pixels this far outside the brighter half still belong to the light.
@@ -56,62 +58,20 @@ impl LogParabola {
         noise: f64,
         other: Option<&Self>,
     ) -> Option<Self> {
-        let origin_px = light.center_px;
-        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
-        let (mut squares, mut count) = (0.0, 0);
-        let noise = noise.max(0.5);
-        let level_min = (LEVEL_OF_CONTRAST_MIN * light.contrast).max(LEVEL_SIGMAS_MIN * noise);
-        let reach_px = (f64::from(light.area_px) / std::f64::consts::PI).sqrt()
-            * light.elongation.sqrt()
-            + REACH_PX;
-        let range = |axis: usize, side: usize| {
-            let start = (origin_px[axis] - reach_px).ceil().max(0.0) as usize;
-            let end = (origin_px[axis] + reach_px).floor().max(0.0) as usize + 1;
-            start..end.min(side)
-        };
-        for y in range(1, image.height()) {
-            for x in range(0, image.width()) {
-                let offset = [x as f64 - origin_px[0], y as f64 - origin_px[1]];
-                let pixel = image.get(x, y);
-                if pixel >= CLIPPED_FROM || offset[0].hypot(offset[1]) > reach_px {
-                    continue;
-                }
-                let at = [x as f64, y as f64];
-                let is_of_mate = mate.is_some_and(|mate| {
-                    let to_mate = [0, 1].map(|axis| mate.center_px[axis] - at[axis]);
-                    to_mate[0].hypot(to_mate[1]) < offset[0].hypot(offset[1])
-                });
-                if is_of_mate {
-                    continue;
-                }
-                let of_other = other.map_or(0.0, |other| other.level_at(at));
-                let level =
-                    f64::from(pixel) - light.background.behind(offset[0], offset[1]) - of_other;
-                if level < level_min {
-                    continue;
-                }
-                let [dx, dy] = offset;
-                let powers = Vector6::new(1.0, dx, dy, dx * dx, dx * dy, dy * dy);
-                // The noise of the logarithm is the noise over the level.
-                let weighted = powers * level;
-                let target = level.ln() * level;
-                normal.syger(1.0, &weighted, &weighted, 1.0);
-                right += weighted * target;
-                squares += target * target;
-                count += 1;
-            }
-        }
-        if count < PIXEL_COUNT_MIN {
+        let sums = LogSums::over(image, light, mate, noise, other);
+        if sums.count < PIXEL_COUNT_MIN {
             return None;
         }
-        normal.fill_upper_triangle_with_lower_triangle();
+        let normal = Matrix6::from_fn(|row, column| sums.normal[row.min(column)][row.max(column)]);
+        let right = Vector6::from(sums.right);
         let factor = normal.cholesky()?;
         let solution: Vector6<f64> = factor.solve(&right);
         let inverse = factor.inverse();
-        let residual = (squares - solution.dot(&right)).max(0.0) / (count as f64 - 6.0).max(1.0);
+        let freedom = (sums.count as f64 - 6.0).max(1.0);
+        let residual = (sums.squares - solution.dot(&right)).max(0.0) / freedom;
         // What the model does not explain counts as noise.
-        let variance = residual.max(noise * noise);
-        Self::from_solution(origin_px, &solution, &(inverse * variance))
+        let variance = residual.max(noise.max(NOISE_MIN).powi(2));
+        Self::from_solution(light.center_px, &solution, &(inverse * variance))
     }
 
     fn from_solution(
@@ -163,5 +123,79 @@ impl LogParabola {
     fn log_level_at(&self, at_px: [f64; 2]) -> f64 {
         let offset = Vector2::new(at_px[0] - self.origin_px[0], at_px[1] - self.origin_px[1]);
         self.constant + self.gradient.dot(&offset) + 0.5 * offset.dot(&(self.hessian * offset))
+    }
+}
+
+/// The normal equations of the fit, as sums over the pixels of a light.
+struct LogSums {
+    count: usize,
+    /// Its upper triangle.
+    normal: [[f64; 6]; 6],
+    right: [f64; 6],
+    squares: f64,
+}
+
+impl LogSums {
+    fn over(
+        image: &Image,
+        light: &Light,
+        mate: Option<&Light>,
+        noise: f64,
+        other: Option<&LogParabola>,
+    ) -> Self {
+        let mut sums = Self {
+            count: 0,
+            normal: [[0.0; 6]; 6],
+            right: [0.0; 6],
+            squares: 0.0,
+        };
+        let [center_x, center_y] = light.center_px;
+        let level_min =
+            (LEVEL_OF_CONTRAST_MIN * light.contrast).max(LEVEL_SIGMAS_MIN * noise.max(NOISE_MIN));
+        let radius_px = (f64::from(light.area_px) / std::f64::consts::PI).sqrt();
+        let reach_px = radius_px * light.elongation.sqrt() + REACH_PX;
+        let range = |center: f64, side: usize| {
+            let start = (center - reach_px).ceil().max(0.0) as usize;
+            let end = (center + reach_px).floor().max(0.0) as usize + 1;
+            start.min(side)..end.min(side)
+        };
+        for y in range(center_y, image.height()) {
+            let dy = y as f64 - center_y;
+            let columns = range(center_x, image.width());
+            for (x, pixel) in columns.clone().zip(&image.row(y)[columns]) {
+                let dx = x as f64 - center_x;
+                let distance_squared = dx * dx + dy * dy;
+                if *pixel >= CLIPPED_FROM || distance_squared > reach_px * reach_px {
+                    continue;
+                }
+                let at = [x as f64, y as f64];
+                let is_of_mate = mate.is_some_and(|mate| {
+                    let to_mate = [0, 1].map(|axis| mate.center_px[axis] - at[axis]);
+                    to_mate[0] * to_mate[0] + to_mate[1] * to_mate[1] < distance_squared
+                });
+                let of_other = other.map_or(0.0, |other| other.level_at(at));
+                let level = f64::from(*pixel) - light.background.behind(dx, dy) - of_other;
+                if level >= level_min && !is_of_mate {
+                    sums.add(dx, dy, level);
+                }
+            }
+        }
+        sums
+    }
+
+    /// The noise of the logarithm is the noise over the level, hence the weights.
+    fn add(&mut self, dx: f64, dy: f64, level: f64) {
+        let powers = [1.0, dx, dy, dx * dx, dx * dy, dy * dy];
+        let target = level.ln();
+        let weight = level * level;
+        for row in 0..6 {
+            let weighted = weight * powers[row];
+            for column in row..6 {
+                self.normal[row][column] += weighted * powers[column];
+            }
+            self.right[row] += weighted * target;
+        }
+        self.squares += weight * target * target;
+        self.count += 1;
     }
 }

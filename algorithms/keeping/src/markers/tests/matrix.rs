@@ -1,6 +1,6 @@
 //! Detection, wrong pairs and accuracy for each kind of light.
 //!
-//! `cargo test -p keeping matrix -- --nocapture` prints the table.
+//! `MARKER_PICTURES=1000 cargo test -p keeping matrix_of -- --nocapture` prints the table.
 
 use camera::Image;
 use geometry::Timestamp;
@@ -135,15 +135,70 @@ fn print_row(name: &str, paper: &Tally, robust: &Tally) {
     );
 }
 
+/// What a row must reach, where physics allows it.
+struct Bar {
+    detected_min: f64,
+    wrong_max: f64,
+    false_pairs_max: f64,
+    rmse_px_max: f64,
+}
+
+fn bar(name: &str) -> Bar {
+    let bar = Bar {
+        detected_min: 0.99,
+        wrong_max: 0.001,
+        false_pairs_max: 0.001,
+        rmse_px_max: 0.2,
+    };
+    match name {
+        "lab" => Bar {
+            rmse_px_max: 0.06,
+            ..bar
+        },
+        "noise 15" | "blur 3" => Bar {
+            rmse_px_max: 0.12,
+            ..bar
+        },
+        // Nothing is brighter than a clipped window.
+        "window in front" => Bar {
+            detected_min: 0.0,
+            ..bar
+        },
+        // One picture cannot tell which of many lights belong together; tracks can.
+        "3 distractors" | "8 distractors" => Bar {
+            wrong_max: 1.0,
+            false_pairs_max: 1.0,
+            ..bar
+        },
+        _ => bar,
+    }
+}
+
+/// Enough to see a broken row; the numbers of `BENCHMARKS.md` need a thousand.
+const PICTURE_COUNT: u64 = 40;
+
 #[test]
 fn the_matrix_of_lights_is_met() {
-    let picture_count = std::env::var("MARKER_PICTURES").map_or(100, |n| n.parse().unwrap());
+    let wanted = std::env::var("MARKER_PICTURES").ok();
+    let picture_count = wanted.map_or(PICTURE_COUNT, |count| count.parse().unwrap());
     println!(
-        "                 | paper: detected, wrong, rmse px, false in empty | robust, error/sigma"
+        "{picture_count} pictures   | paper: detected, wrong, rmse px, false in empty | robust"
     );
+    let mut failures = Vec::new();
     for (name, scene) in MarkerScene::matrix() {
         let paper = run_paper(&scene, picture_count);
         let robust = run_robust(&scene, picture_count);
         print_row(&name, &paper, &robust);
+        let bar = bar(&name);
+        let is_met = robust.detected() >= bar.detected_min
+            && robust.wrong() <= bar.wrong_max
+            && robust.false_pairs() <= bar.false_pairs_max
+            && robust.rmse_px() <= bar.rmse_px_max
+            // The stated sigma is neither boast nor excuse.
+            && (0.3..3.0).contains(&robust.error_sigmas());
+        if !is_met {
+            failures.push(name);
+        }
     }
+    assert!(failures.is_empty(), "rows below their bar: {failures:?}");
 }
