@@ -3,6 +3,7 @@
 mod demo;
 mod later;
 mod map;
+mod markers;
 pub mod output;
 mod register;
 mod run;
@@ -68,6 +69,8 @@ enum Command {
     Map(map::MapCommand),
     /// Swarm-keeping by sight, simulated many times over.
     Swarm(swarm::SwarmArguments),
+    /// Find the pairs of marker lights in images.
+    Markers(markers::MarkersArguments),
     /// The simulator's process, started by `demo`.
     #[command(hide = true)]
     Sim(sim::SimArguments),
@@ -109,6 +112,7 @@ fn dispatch(command: Command, matches: &ArgMatches) -> anyhow::Result<Exit> {
         Command::Register(arguments) => register::run(&arguments),
         Command::Map(command) => map::run(&command),
         Command::Swarm(arguments) => swarm::run(&arguments),
+        Command::Markers(arguments) => markers::run(&arguments),
         Command::Sim(arguments) => sim::run(&arguments),
         Command::Later(command) => later::run(&command),
     }

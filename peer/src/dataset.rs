@@ -229,6 +229,11 @@ fn read_image(path: &Path, expected: (usize, usize)) -> Result<Image, ImageError
     decode_grey(&bytes)
 }
 
+/// Reads and decodes an image of any size.
+pub fn read_grey(path: &Path) -> Result<Image, ImageError> {
+    decode_grey(&read_bytes(path)?)
+}
+
 /// A pipe would be waited for, and a device read without end.
 fn read_bytes(path: &Path) -> Result<Vec<u8>, ImageError> {
     let metadata = std::fs::metadata(path).map_err(ImageError::File)?;

@@ -1,6 +1,7 @@
 //! Pictures of maps and trajectories, seen from above and from the side in metres, and of values
 //! over time.
 
+mod annotation;
 mod axis;
 mod canvas;
 mod chart;
@@ -18,6 +19,7 @@ use crate::files::FileError;
 use raster::RasterCanvas;
 use svg::SvgCanvas;
 
+pub use annotation::{AnnotatedImage, ImageMark, MarkShape};
 pub use canvas::{Canvas, Color};
 pub use chart::{Chart, ChartPanel, Curve};
 
@@ -145,10 +147,7 @@ pub trait Picture {
             PictureFormat::Svg => self.to_svg().into_bytes(),
             PictureFormat::Png => self.to_png(),
         };
-        fs::write(path, bytes).map_err(|error| FileError::Write {
-            error,
-            path: path.to_owned(),
-        })
+        write_file(path, &bytes)
     }
 }
 
@@ -181,6 +180,13 @@ impl PictureFormat {
 /// Whether the extension names a format that pictures are written in.
 pub fn check_picture_name(path: &Path) -> Result<(), FileError> {
     PictureFormat::of(path).map(drop)
+}
+
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    fs::write(path, bytes).map_err(|error| FileError::Write {
+        error,
+        path: path.to_owned(),
+    })
 }
 
 #[cfg(test)]

@@ -24,8 +24,6 @@ pub enum LaterCommand {
     Config(Anything),
     /// Find out what is wrong (not built yet).
     Doctor(Anything),
-    /// Find marker pairs in images (not built yet).
-    Markers(Anything),
     /// Repeat the paper's experiments (not built yet).
     Reproduce(Anything),
 }
@@ -47,7 +45,6 @@ pub fn run(command: &LaterCommand) -> anyhow::Result<Exit> {
         LaterCommand::Calibrate(_) => "calibrate",
         LaterCommand::Config(_) => "config check",
         LaterCommand::Doctor(_) => "doctor",
-        LaterCommand::Markers(_) => "markers",
         LaterCommand::Reproduce(_) => "reproduce",
     };
     not_built(name)

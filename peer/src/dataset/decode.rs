@@ -1,4 +1,6 @@
-//! PNG and JPEG bytes to grey images.
+//! PNG, JPEG, PGM and PPM bytes to grey images.
+
+mod pnm;
 
 use std::io::Cursor;
 
@@ -18,10 +20,12 @@ pub enum ImageError {
     NoFile,
     #[error("a file of {got_bytes} bytes, expected at most {IMAGE_BYTES_MAX}")]
     TooLarge { got_bytes: u64 },
-    #[error("neither PNG nor JPEG")]
+    #[error("neither PNG, JPEG, PGM nor PPM")]
     UnknownFormat,
     #[error("damaged PNG: {0}")]
     Png(#[from] png::DecodingError),
+    #[error("damaged PGM or PPM: {0}")]
+    Pnm(String),
     #[error("damaged JPEG: {0}")]
     Jpeg(String),
     #[error("JPEG ends before its end marker")]
@@ -60,12 +64,14 @@ pub fn image_size(bytes: &[u8]) -> Result<(usize, usize), ImageError> {
         let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), jpeg_options());
         decoder.decode_headers().map_err(jpeg_error)?;
         Ok(decoder.dimensions().unwrap_or_default())
+    } else if pnm::is_pnm(bytes) {
+        pnm::size(bytes)
     } else {
         Err(ImageError::UnknownFormat)
     }
 }
 
-/// Decodes PNG (1 to 16 bits, grey or colour) or JPEG to grey.
+/// Decodes PNG (1 to 16 bits, grey or colour), JPEG, or binary PGM or PPM to grey.
 ///
 /// Of 16 bits the upper eight are kept. Colours are weighted as in Rec. 601; alpha is ignored.
 pub fn decode_grey(bytes: &[u8]) -> Result<Image, ImageError> {
@@ -73,6 +79,8 @@ pub fn decode_grey(bytes: &[u8]) -> Result<Image, ImageError> {
         decode_png(bytes)
     } else if bytes.starts_with(JPEG_SIGNATURE) {
         decode_jpeg(bytes)
+    } else if pnm::is_pnm(bytes) {
+        pnm::decode(bytes)
     } else {
         Err(ImageError::UnknownFormat)
     }

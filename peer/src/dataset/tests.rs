@@ -178,7 +178,7 @@ fn refuses_recordings_that_cannot_be_used_and_says_why() {
     );
     check(
         &|path| (0..4).for_each(|idx| write(path, &format!("rgb/{idx}.png"), "no image")),
-        "no image could be decoded, of 4; the first: neither PNG nor JPEG",
+        "no image could be decoded, of 4; the first: neither PNG, JPEG, PGM nor PPM",
     );
     check(
         &|path| {

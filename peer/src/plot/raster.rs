@@ -23,6 +23,17 @@ impl RasterCanvas {
         }
     }
 
+    /// A grey image, each pixel `scale` pixels wide and high, above a blank strip.
+    pub fn over_grey(image: &camera::Image, scale: usize, strip_height: usize) -> Self {
+        let (width, image_height) = (image.width() * scale, image.height() * scale);
+        let mut canvas = Self::new([width as f64, (image_height + strip_height) as f64]);
+        for (idx, pixel) in canvas.pixels[..width * image_height].iter_mut().enumerate() {
+            let (x, y) = (idx % width, idx / width);
+            *pixel = [image.get(x / scale, y / scale); 3];
+        }
+        canvas
+    }
+
     pub fn finish(self) -> Vec<u8> {
         let mut file = Vec::new();
         let mut encoder = png::Encoder::new(&mut file, self.width as u32, self.height as u32);
