@@ -13,7 +13,8 @@ use super::scan;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FinderSettings {
     /// Grey levels that a light stands out by, at least; also at least five sigmas of the noise.
-    /// Lower finds fainter lights, and more that are none.
+    /// Lower finds fainter lights, and more things that are none. Where the picture is clipped a
+    /// part of it is enough: nothing but a light is that bright.
     pub contrast_min: f64,
     /// Lights of one drone that are closer than this look like one.
     pub separation_px_min: f64,
@@ -29,7 +30,7 @@ pub struct FinderSettings {
 impl Default for FinderSettings {
     fn default() -> Self {
         Self {
-            contrast_min: 16.0,
+            contrast_min: 40.0,
             separation_px_min: 2.5,
             separation_px_max: 60.0,
             baseline_rad: FRAC_PI_2,
@@ -77,6 +78,7 @@ const LIGHT_COUNT_MAX: usize = 32;
 const PAIR_COUNT_MAX: usize = 16;
 /// Contrasts from here on tell nothing about the noise.
 const CONTRAST_MIN_MAX: f64 = 200.0;
+const CLIPPED_CONTRAST_SHARE: f64 = 0.4;
 /// A light stands out by this many sigmas of the noise.
 const CONTRAST_SIGMAS: f64 = 5.0;
 const SIGNAL_TO_NOISE_MIN: f64 = 10.0;
@@ -128,11 +130,11 @@ impl PairFinder {
         self.pairs.clear();
         self.merged.clear();
         let noise = scan::estimate_noise(image);
+        let from_noise = |wanted: f64| wanted.max(CONTRAST_SIGMAS * noise).min(CONTRAST_MIN_MAX);
         let gates = LightGates {
             noise,
-            contrast_min: (CONTRAST_SIGMAS * noise)
-                .max(self.settings.contrast_min)
-                .min(CONTRAST_MIN_MAX),
+            contrast_min: from_noise(self.settings.contrast_min),
+            clipped_contrast_min: from_noise(CLIPPED_CONTRAST_SHARE * self.settings.contrast_min),
             signal_to_noise_min: SIGNAL_TO_NOISE_MIN,
             area_px_max: AREA_PX_MAX,
             elongation_max: ELONGATION_MAX,
@@ -158,8 +160,7 @@ impl PairFinder {
         gates: &LightGates,
     ) -> Result<(), super::runs::TooManyRuns> {
         self.padded_row.resize(image.width() + 2 * scan::ARM_PX, 0);
-        // The ring tells the background better than the arms do; they are only to miss nothing.
-        let threshold = gates.contrast_min as u8;
+        let threshold = gates.clipped_contrast_min as u8;
         scan::find_bright(image, threshold, &mut self.padded_row, &mut self.joiner)?;
         let brightness = |component: &Component| {
             let [x, y] = component.centroid_px();

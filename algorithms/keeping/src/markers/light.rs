@@ -64,6 +64,8 @@ impl Light {
 pub(super) struct LightGates {
     pub noise: f64,
     pub contrast_min: f64,
+    /// The same for lights whose peak is clipped.
+    pub clipped_contrast_min: f64,
     pub signal_to_noise_min: f64,
     pub area_px_max: u32,
     pub elongation_max: f64,
@@ -115,7 +117,7 @@ pub(super) fn measure(
     let area = PixelBox::around(component, RING_MARGIN_PX, image);
     let peak = brightest(image, &PixelBox::around(component, 0, image));
     let background = background::around(image, component, gates.noise);
-    if f64::from(peak) - background.upper < gates.contrast_min {
+    if f64::from(peak) - background.upper < gates.clipped_contrast_min {
         return;
     }
     // Half-way above the brighter side of what is around it.
@@ -255,7 +257,13 @@ impl Blob {
         let elongation = spread_px[0] / spread_px[1];
         let is_compact = (AREA_PX_MIN..=gates.area_px_max).contains(&self.area_px)
             && elongation <= gates.elongation_max;
-        if contrast < gates.contrast_min || !is_compact {
+        let saturated = self.peak >= SATURATED_FROM;
+        let contrast_min = if saturated {
+            gates.clipped_contrast_min
+        } else {
+            gates.contrast_min
+        };
+        if contrast < contrast_min || !is_compact {
             return None;
         }
         if core_sum(image, self.mean_px, background.level) < CORE_OF_PEAK_MIN * contrast {
@@ -271,7 +279,7 @@ impl Blob {
             contrast,
             flux: centroid.flux,
             signal_to_noise: centroid.signal_to_noise,
-            saturated: self.peak >= SATURATED_FROM,
+            saturated,
             elongation,
             axis_rad,
             spread_px,

@@ -35,8 +35,10 @@ const CLIPPED_FROM: u8 = 250;
 const LEVEL_OF_CONTRAST_MIN: f64 = 0.1;
 /// Below this many sigmas of the noise the logarithm is not that of the light.
 const LEVEL_SIGMAS_MIN: f64 = 3.0;
-/// Peaks are guessed from flanks with this share of what is missing as their sigma.
-const CLIPPED_SIGMA_SHARE: f64 = 0.15;
+/// Peaks are guessed from flanks with this share of what is clipped as their sigma, and a larger
+/// share of what is clipped beyond a factor of two: little is left of those flanks.
+const CLIPPED_SIGMA_SHARE: f64 = 0.1;
+const DEEP_SIGMA_SHARE: f64 = 0.35;
 /// Grey levels are rounded.
 const NOISE_MIN: f64 = 0.5;
 /// Six numbers need more pixels than that.
@@ -109,9 +111,10 @@ impl LogParabola {
     pub fn log_peak(&self, contrast: f64) -> LogPeak {
         let value = self.log_level_at(self.center_px);
         let clipped = (value - contrast.ln()).max(0.0);
+        let deep = (clipped - std::f64::consts::LN_2).max(0.0);
         LogPeak {
             value,
-            sigma: self.sigma_log_peak.hypot(CLIPPED_SIGMA_SHARE * clipped),
+            sigma: self.sigma_log_peak + CLIPPED_SIGMA_SHARE * clipped + DEEP_SIGMA_SHARE * deep,
         }
     }
 

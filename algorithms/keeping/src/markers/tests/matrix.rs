@@ -164,6 +164,11 @@ fn bar(name: &str) -> Bar {
             detected_min: 0.0,
             ..bar
         },
+        // Lights of two drones one above the other may look like a pair.
+        "two drones" => Bar {
+            wrong_max: 0.005,
+            ..bar
+        },
         // One picture cannot tell which of many lights belong together; tracks can.
         "3 distractors" | "8 distractors" => Bar {
             wrong_max: 1.0,
