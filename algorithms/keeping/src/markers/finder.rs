@@ -79,6 +79,8 @@ const PAIR_COUNT_MAX: usize = 16;
 /// Contrasts from here on tell nothing about the noise.
 const CONTRAST_MIN_MAX: f64 = 200.0;
 const CLIPPED_CONTRAST_SHARE: f64 = 0.4;
+/// Beside things that are this much brighter, what is not clipped is no light but lit.
+const CONTRAST_OF_BRIGHTEST_MIN: f64 = 0.35;
 /// A light stands out by this many sigmas of the noise.
 const CONTRAST_SIGMAS: f64 = 5.0;
 const SIGNAL_TO_NOISE_MIN: f64 = 10.0;
@@ -133,7 +135,8 @@ impl PairFinder {
         let from_noise = |wanted: f64| wanted.max(CONTRAST_SIGMAS * noise).min(CONTRAST_MIN_MAX);
         let gates = LightGates {
             noise,
-            contrast_min: from_noise(self.settings.contrast_min),
+            contrast_min: from_noise(self.settings.contrast_min)
+                .max(CONTRAST_OF_BRIGHTEST_MIN * f64::from(scan::sample_brightest(image))),
             clipped_contrast_min: from_noise(CLIPPED_CONTRAST_SHARE * self.settings.contrast_min),
             signal_to_noise_min: SIGNAL_TO_NOISE_MIN,
             area_px_max: AREA_PX_MAX,

@@ -10,9 +10,9 @@ use super::runs::{Run, RunJoiner, TooManyRuns};
 pub(super) const ARM_PX: usize = 6;
 /// Pixels that are tested at once.
 const BLOCK: usize = 32;
-/// Every how many rows and columns the noise is sampled.
-const NOISE_ROW_STEP: usize = 13;
-const NOISE_COLUMN_STEP: usize = 3;
+/// Every how many rows and columns noise and brightness are sampled.
+const SAMPLE_ROW_STEP: usize = 13;
+const SAMPLE_COLUMN_STEP: usize = 3;
 /// A difference of two pixels with normal noise has this median, in sigmas of the noise.
 const MEDIAN_OF_DIFFERENCE_SIGMAS: f64 = 0.9539;
 
@@ -20,9 +20,9 @@ const MEDIAN_OF_DIFFERENCE_SIGMAS: f64 = 0.9539;
 pub(super) fn estimate_noise(image: &Image) -> f64 {
     let mut histogram = [0_u32; 256];
     let mut sample_count = 0;
-    for y in (NOISE_ROW_STEP / 2..image.height()).step_by(NOISE_ROW_STEP) {
+    for y in (SAMPLE_ROW_STEP / 2..image.height()).step_by(SAMPLE_ROW_STEP) {
         let row = image.row(y);
-        for pair in row.windows(3).step_by(NOISE_COLUMN_STEP) {
+        for pair in row.windows(3).step_by(SAMPLE_COLUMN_STEP) {
             histogram[usize::from(pair[0].abs_diff(pair[2]))] += 1;
             sample_count += 1;
         }
@@ -38,6 +38,14 @@ pub(super) fn estimate_noise(image: &Image) -> f64 {
         below += count;
     }
     0.0
+}
+
+/// The brightest of anything large; a single light is mostly missed.
+pub(super) fn sample_brightest(image: &Image) -> u8 {
+    (SAMPLE_ROW_STEP / 2..image.height())
+        .step_by(SAMPLE_ROW_STEP)
+        .flat_map(|y| image.row(y))
+        .fold(0, |brightest, pixel| brightest.max(*pixel))
 }
 
 /// Gives `joiner` the runs of pixels that are more than `threshold` brighter than at least three

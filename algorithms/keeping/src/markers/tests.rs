@@ -1,3 +1,7 @@
-//! The matrix of light conditions, on seeded pictures, for both pipelines.
+//! Marker vision on seeded pictures, and on pictures that are none.
 
+mod finder;
+mod hostile;
 mod matrix;
+mod paper;
+mod runs;
