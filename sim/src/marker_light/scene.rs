@@ -86,124 +86,79 @@ impl MarkerScene {
         }
     }
 
-    /// The matrix of the specification, with the name of each row.
+    /// Every kind of light that the markers must be seen in, with its name.
     pub fn matrix() -> Vec<(String, Self)> {
-        let lab = Self::lab();
-        let with_noise = |noise| Sensor {
-            noise,
-            ..lab.sensor
+        let named = |(name, scene): (&str, Self)| (name.to_owned(), scene);
+        let mut rows: Vec<(String, Self)> = Self::surroundings().map(named).into();
+        rows.extend(Self::sensors().map(named));
+        rows.extend([0.25, 0.5, 2.0, 4.0].map(|exposure| {
+            let mut scene = Self::lab();
+            scene.sensor.exposure = exposure;
+            (format!("exposure {exposure}"), scene)
+        }));
+        let saturated = Self {
+            sigma_px: 1.5,
+            peak: 900.0..1400.0,
+            ..Self::lab()
         };
-        let mut rows = vec![("lab".to_owned(), lab.clone())];
-        let mut row = |name: &str, scene| rows.push((name.to_owned(), scene));
-        row(
-            "dark",
-            Self {
-                background: 0.0..8.0,
-                ..lab.clone()
-            },
-        );
-        row(
-            "bright",
-            Self {
-                background: 120.0..225.0,
-                ..lab.clone()
-            },
-        );
-        let window = Self {
-            window_px: Some([80, 60]),
-            ..lab.clone()
+        rows.push(("saturated 1.5".to_owned(), saturated));
+        rows.extend([4.0, 5.0, 6.0, 8.0, 20.0].map(|separation_px| {
+            let mut scene = Self::lab();
+            scene.separations_px = vec![separation_px];
+            (format!("separation {separation_px}"), scene)
+        }));
+        let two_drones = Self {
+            separations_px: vec![10.0, 7.0],
+            ..Self::lab()
         };
-        row("window", window.clone());
-        row(
-            "window in front",
-            Self {
-                before_window: true,
-                ..window
-            },
-        );
-        row(
-            "noise 15",
-            Self {
-                sensor: with_noise(15.0),
-                ..lab.clone()
-            },
-        );
-        row(
-            "blur 3",
-            Self {
-                blur_px: 3.0,
-                ..lab.clone()
-            },
-        );
-        row(
-            "blur 6",
-            Self {
-                blur_px: 6.0,
-                ..lab.clone()
-            },
-        );
-        row(
-            "weak 200",
-            Self {
-                peak: 200.0..200.1,
-                ..lab.clone()
-            },
-        );
-        row(
-            "weak 150",
-            Self {
-                peak: 150.0..150.1,
-                ..lab.clone()
-            },
-        );
-        for exposure in [0.25, 0.5, 2.0, 4.0] {
-            let sensor = Sensor {
-                exposure,
-                ..lab.sensor
+        rows.push(("two drones".to_owned(), two_drones));
+        rows.extend([1, 3, 8].map(|distractor_count| {
+            let scene = Self {
+                distractor_count,
+                ..Self::lab()
             };
-            row(
-                &format!("exposure {exposure}"),
-                Self {
-                    sensor,
-                    ..lab.clone()
-                },
-            );
-        }
-        row(
-            "saturated 1.5",
-            Self {
-                sigma_px: 1.5,
-                peak: 900.0..1400.0,
-                ..lab.clone()
-            },
-        );
-        for separation_px in [4.0, 5.0, 6.0, 8.0, 20.0] {
-            let separations_px = vec![separation_px];
-            row(
-                &format!("separation {separation_px}"),
-                Self {
-                    separations_px,
-                    ..lab.clone()
-                },
-            );
-        }
-        row(
-            "two drones",
-            Self {
-                separations_px: vec![10.0, 7.0],
-                ..lab.clone()
-            },
-        );
-        for distractor_count in [1, 3, 8] {
-            row(
-                &format!("{distractor_count} distractors"),
-                Self {
-                    distractor_count,
-                    ..lab.clone()
-                },
-            );
-        }
+            (format!("{distractor_count} distractors"), scene)
+        }));
         rows
+    }
+
+    fn surroundings() -> [(&'static str, Self); 5] {
+        let with_background = |background| Self {
+            background,
+            ..Self::lab()
+        };
+        let with_window = |before_window| Self {
+            window_px: Some([80, 60]),
+            before_window,
+            ..Self::lab()
+        };
+        [
+            ("lab", Self::lab()),
+            ("dark", with_background(0.0..8.0)),
+            ("bright", with_background(120.0..225.0)),
+            ("window", with_window(false)),
+            ("window in front", with_window(true)),
+        ]
+    }
+
+    fn sensors() -> [(&'static str, Self); 5] {
+        let with_blur = |blur_px| Self {
+            blur_px,
+            ..Self::lab()
+        };
+        let with_peak = |peak: f64| Self {
+            peak: peak..peak + 0.1,
+            ..Self::lab()
+        };
+        let mut noisy = Self::lab();
+        noisy.sensor.noise = 15.0;
+        [
+            ("noise 15", noisy),
+            ("blur 3", with_blur(3.0)),
+            ("blur 6", with_blur(6.0)),
+            ("weak 200", with_peak(200.0)),
+            ("weak 150", with_peak(150.0)),
+        ]
     }
 
     /// The same scene without pairs.

@@ -129,7 +129,7 @@ pub(super) fn measure(
             continue;
         }
         let blob = Blob::of(&blob_mask, &area, image);
-        if let Some(light) = blob.into_light(image, &background, &area, &blob_mask, gates) {
+        if let Some(light) = blob.measure(image, &background, &area, &blob_mask, gates) {
             emit(light);
         }
     }
@@ -244,7 +244,7 @@ impl Blob {
         (spread.map(f64::sqrt), 0.5 * (2.0 * xy).atan2(xx - yy))
     }
 
-    fn into_light(
+    fn measure(
         &self,
         image: &Image,
         background: &Background,

@@ -191,12 +191,13 @@ impl LogSums {
         let powers = [1.0, dx, dy, dx * dx, dx * dy, dy * dy];
         let target = level.ln();
         let weight = level * level;
-        for row in 0..6 {
+        let rows = self.normal.iter_mut().zip(&mut self.right);
+        for (row, (sums, right)) in rows.enumerate() {
             let weighted = weight * powers[row];
-            for column in row..6 {
-                self.normal[row][column] += weighted * powers[column];
+            for (sum, power) in sums.iter_mut().zip(powers).skip(row) {
+                *sum += weighted * power;
             }
-            self.right[row] += weighted * target;
+            *right += weighted * target;
         }
         self.squares += weight * target * target;
         self.count += 1;

@@ -53,7 +53,10 @@ fn join(mask: &[u8], joiner: &mut RunJoiner) -> Result<(), TooManyRuns> {
 proptest! {
     #[test]
     fn runs_join_to_the_components_of_a_flood_fill(
-        mask in proptest::collection::vec(prop_oneof![3 => Just(0_u8), 2 => Just(1)], WIDTH * HEIGHT),
+        mask in proptest::collection::vec(
+            prop_oneof![3 => Just(0_u8), 2 => Just(1)],
+            WIDTH * HEIGHT,
+        ),
     ) {
         let mut joiner = RunJoiner::with_run_count_max(1024);
         join(&mask, &mut joiner).unwrap();
