@@ -95,6 +95,8 @@ const CONTRAST_RATIO_MAX: f64 = 1.6487;
 const SAME_LIGHT_PX: f64 = 1.5;
 /// A blob that is this much longer than wide, along the baseline, is two lights.
 const MERGED_ELONGATION_MIN: f64 = 1.35;
+/// Blobs of a few pixels look a little long by chance.
+const MERGED_SEPARATION_MIN_PX: f64 = 1.7;
 /// Lights this far apart are told apart, whatever their brightness.
 const RESOLVED_PX: f64 = 4.0;
 
@@ -213,15 +215,18 @@ impl PairFinder {
     fn merge_lights(&mut self) {
         for (light, taken) in self.lights.iter().zip(&self.taken) {
             let tilt = pairs::angle_between_lines(light.axis_rad, self.settings.baseline_rad);
+            // Two equal lights spread a blob by half their separation in its direction.
+            let [along, across] = light.spread_px;
+            let separation_px = 2.0 * (along * along - across * across).max(0.0).sqrt();
             let is_merged = !taken
                 && light.elongation >= MERGED_ELONGATION_MIN
+                && separation_px >= MERGED_SEPARATION_MIN_PX
                 && tilt <= self.settings.tilt_max_rad;
             if is_merged && self.merged.len() < self.merged.capacity() {
-                let [along, across] = light.spread_px;
                 self.merged.push(MergedPair {
                     center_px: light.center_px,
                     separation_px_max: RESOLVED_PX,
-                    separation_px: 2.0 * (along * along - across * across).sqrt(),
+                    separation_px,
                 });
             }
         }

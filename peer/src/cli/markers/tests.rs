@@ -14,7 +14,7 @@ fn arguments(images: &Path, annotate: Option<PathBuf>) -> MarkersArguments {
     MarkersArguments {
         images: images.to_owned(),
         annotate,
-        json: true,
+        json: false,
     }
 }
 
