@@ -55,6 +55,9 @@ const LOG_AREA_SIGMA: f64 = 0.4;
 /// Lights of one drone have the same shape, whatever blurs them.
 const ELONGATION_SIGMA: f64 = 0.6;
 
+/// True pairs stay below 10, in every kind of light.
+const UNLIKENESS_MAX: f64 = 12.0;
+
 /// The angle between two undirected lines, `0..=π/2`.
 pub(super) fn angle_between_lines(a_rad: f64, b_rad: f64) -> f64 {
     let turn = (a_rad - b_rad).rem_euclid(std::f64::consts::PI);
@@ -154,13 +157,16 @@ fn mismatch(a: &Light, b: &Light, gates: &PairGates) -> Option<f64> {
         && log_contrast <= gates.contrast_ratio_max.ln() + GATE_SIGMAS * sigma;
     let contrast_sigma = sigma.hypot(LOG_CONTRAST_SIGMA);
     let square = |value: f64| value * value;
-    is_possible.then(|| {
-        square(log_contrast / contrast_sigma)
-            + square(log_area / LOG_AREA_SIGMA)
-            + square((a.elongation - b.elongation) / ELONGATION_SIGMA)
-            + square(tilt / gates.tilt_max_rad)
-            + separation_px / gates.separation_px_max
-    })
+    // Strangers are the likelier to stand in line the larger the distance: its logarithm counts
+    // twice, as in a likelihood.
+    let unlikeness = square(log_contrast / contrast_sigma)
+        + square(log_area / LOG_AREA_SIGMA)
+        + square((a.elongation - b.elongation) / ELONGATION_SIGMA)
+        + square(tilt / gates.tilt_max_rad);
+    // Strangers are the likelier to stand in line the larger the distance: its logarithm counts
+    // twice, as in a likelihood.
+    let mismatch = unlikeness + 2.0 * (separation_px / gates.separation_px_min).ln();
+    (is_possible && unlikeness <= UNLIKENESS_MAX).then_some(mismatch)
 }
 
 /// How far apart the logarithms of their brightness are, and how well that is known.
