@@ -72,7 +72,7 @@ pub struct PairFinder {
 /// A frame with more runs than this is full of noise.
 const RUN_COUNT_MAX: u16 = 1024;
 /// Of more components only the brightest are looked at.
-const COMPONENT_COUNT_MAX: usize = 64;
+const COMPONENT_COUNT_MAX: usize = 48;
 /// The faintest are forgotten.
 const LIGHT_COUNT_MAX: usize = 32;
 const PAIR_COUNT_MAX: usize = 16;

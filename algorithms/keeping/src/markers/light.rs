@@ -85,6 +85,7 @@ const WEIGHT_REACH_SIGMAS: f64 = 3.0;
 const WEIGHT_SIDE_MAX_PX: usize = 2 * 13 + 1;
 const CENTROID_ROUNDS: usize = 4;
 const CENTROID_STEP_MAX_PX: f64 = 1.0;
+const CENTROID_STEP_MIN_PX: f64 = 0.03;
 const SLOPE_OF_FLUX_MIN: f64 = 0.1;
 /// Flanks tell more than the shape of the brighter half unless an edge is this share of them.
 const EDGE_OF_CONTRAST_MAX: f64 = 0.25;
@@ -379,9 +380,16 @@ impl Weights {
         let mut sums = WeightedSums::default();
         for _ in 0..CENTROID_ROUNDS {
             sums = self.sum(image, center_px, background)?;
+            let mut largest_step: f64 = 0.0;
             for (axis, center) in center_px.iter_mut().enumerate() {
-                let step = sums.moment[axis] / sums.slope(axis);
-                *center += step.clamp(-CENTROID_STEP_MAX_PX, CENTROID_STEP_MAX_PX);
+                let step = (sums.moment[axis] / sums.slope(axis))
+                    .clamp(-CENTROID_STEP_MAX_PX, CENTROID_STEP_MAX_PX);
+                *center += step;
+                largest_step = largest_step.max(step.abs());
+            }
+            // The next step would be about its square.
+            if largest_step < CENTROID_STEP_MIN_PX {
+                break;
             }
         }
         let sigma_px = |axis: usize| noise * sums.squared_moments[axis].sqrt() / sums.slope(axis);

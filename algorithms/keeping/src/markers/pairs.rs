@@ -157,8 +157,6 @@ fn mismatch(a: &Light, b: &Light, gates: &PairGates) -> Option<f64> {
         && log_contrast <= gates.contrast_ratio_max.ln() + GATE_SIGMAS * sigma;
     let contrast_sigma = sigma.hypot(LOG_CONTRAST_SIGMA);
     let square = |value: f64| value * value;
-    // Strangers are the likelier to stand in line the larger the distance: its logarithm counts
-    // twice, as in a likelihood.
     let unlikeness = square(log_contrast / contrast_sigma)
         + square(log_area / LOG_AREA_SIGMA)
         + square((a.elongation - b.elongation) / ELONGATION_SIGMA)
