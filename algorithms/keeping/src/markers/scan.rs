@@ -12,7 +12,7 @@ pub(super) const ARM_PX: usize = 6;
 const BLOCK: usize = 32;
 /// Every how many rows and columns noise and brightness are sampled.
 const SAMPLE_ROW_STEP: usize = 13;
-const SAMPLE_COLUMN_STEP: usize = 3;
+const SAMPLE_COLUMN_STEP: usize = 6;
 /// A difference of two pixels with normal noise has this median, in sigmas of the noise.
 const MEDIAN_OF_DIFFERENCE_SIGMAS: f64 = 0.9539;
 
@@ -44,8 +44,13 @@ pub(super) fn estimate_noise(image: &Image) -> f64 {
 pub(super) fn sample_brightest(image: &Image) -> u8 {
     (SAMPLE_ROW_STEP / 2..image.height())
         .step_by(SAMPLE_ROW_STEP)
-        .flat_map(|y| image.row(y))
-        .fold(0, |brightest, pixel| brightest.max(*pixel))
+        .map(|y| {
+            image
+                .row(y)
+                .iter()
+                .fold(0, |brightest, pixel| *pixel.max(&brightest))
+        })
+        .fold(0, u8::max)
 }
 
 /// Gives `joiner` the runs of pixels that are more than `threshold` brighter than at least three
@@ -157,4 +162,40 @@ fn extend_runs(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_that_stand_out_on_three_sides_are_those_of_the_definition() {
+        let (width, height) = (70, 40);
+        let pixels = (0..width * height).map(|idx| (idx * 7919 % 256) as u8 / (idx % 3 + 1) as u8);
+        let image = Image::from_pixels(width, height, pixels.collect()).unwrap();
+        let threshold = 60;
+        let mut expected = 0;
+        for y in 0..height {
+            for x in 0..width {
+                let arms = [
+                    image.get(x.saturating_sub(ARM_PX), y),
+                    image.get((x + ARM_PX).min(width - 1), y),
+                    image.get(x, y.saturating_sub(ARM_PX)),
+                    image.get(x, (y + ARM_PX).min(height - 1)),
+                ];
+                let level = image.get(x, y).saturating_sub(threshold);
+                expected += u32::from(arms.iter().filter(|arm| level > **arm).count() >= 3);
+            }
+        }
+        let mut joiner = RunJoiner::with_run_count_max(4096);
+        let mut padded_row = vec![0; width + 2 * ARM_PX];
+        find_bright(&image, threshold, &mut padded_row, &mut joiner).unwrap();
+        let found: u32 = joiner
+            .components()
+            .iter()
+            .map(|component| component.area_px)
+            .sum();
+        assert!(expected > 50);
+        assert_eq!(found, expected);
+    }
 }
