@@ -25,7 +25,7 @@ pub struct FollowerSettings {
 /// How the speed of the other vehicle is found from the growth of its lights' separation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForward {
-    /// Focal length times the distance of the lights: range [m] = this / separation [px].
+    /// Focal length times the distance of the lights: range (m) = this / separation (px).
     pub range_times_separation_m_px: f64,
     /// Focal length: sideways, range × pixels / this are metres.
     pub focal_px: f64,
