@@ -1,6 +1,7 @@
 //! The team over real zenoh sessions, each vehicle a process of its own.
 //!
-//! Recordings are rendered once, from the simulator's lab; no test needs data from outside.
+//! Recordings are rendered once, from the simulator's lab; `real_video` alone looks for data from
+//! outside.
 
 #![expect(
     clippy::unwrap_used,
@@ -13,6 +14,7 @@ mod inputs;
 mod joining;
 mod outage;
 mod processes;
+mod real_video;
 mod recordings;
 mod usage;
 mod wire;
