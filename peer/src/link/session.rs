@@ -46,7 +46,8 @@ pub(super) fn open(config: &ZenohConfig) -> Result<zenoh::Session, LinkError> {
     settings.push(("connect/endpoints", json(&config.connect)));
     settings.push(("scouting/multicast/enabled", json(&config.scouting)));
     settings.push(("scouting/gossip/enabled", json(&config.scouting)));
-    // To connect may fail for now; to listen may not.
+    // Endpoints to connect to that do not answer are no error: zenoh tries them again and again.
+    // An endpoint that cannot be listened on is one.
     let opened = zenoh::open(configure(&settings)?).wait();
     opened.map_err(|error| LinkError::listen(&config.listen, &error))
 }
