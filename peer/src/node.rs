@@ -23,12 +23,12 @@ use geometry::{Body, Camera, Enu, Map, Similarity, Timestamp, Transform};
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use protocol::keys::Key;
 use protocol::sync::SyncEvent;
-use protocol::{ChunkCamera, ChunkId, Manifest, Placement, PlacementPage, VehicleId, VehicleState};
+use protocol::{ChunkCamera, VehicleId, VehicleState};
 use vslam::{Vslam, VslamSettings};
 
 use crate::files::StampedPose;
 use crate::link::{Class, RequestId};
-use crate::store::Reloaded;
+use crate::store::{Kept, Reloaded};
 use anchor_role::AnchorRole;
 use exchange::Exchange;
 use outlet::Outlet;
@@ -83,16 +83,6 @@ pub enum Effect {
     },
     /// The frame is dealt with; its pose has been published.
     Posed(Box<FramePose>),
-}
-
-/// What the store keeps and answers with.
-#[derive(Clone, Debug)]
-pub enum Kept {
-    Chunk(ChunkId, Arc<[u8]>),
-    Manifest(Manifest),
-    Placement(Box<Placement>),
-    Page(PlacementPage),
-    Beacon(Arc<[u8]>),
 }
 
 /// A frame's pose as it was published at that moment.

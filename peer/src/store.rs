@@ -14,10 +14,19 @@ use protocol::{
 };
 
 use crate::link::{Answer, Holdings, Question};
-use crate::node::Kept;
 use segments::Segments;
 
 pub use segments::{Reloaded, StoreError};
+
+/// What the store keeps and answers with.
+#[derive(Clone, Debug)]
+pub enum Kept {
+    Chunk(ChunkId, Arc<[u8]>),
+    Manifest(Manifest),
+    Placement(Box<Placement>),
+    Page(PlacementPage),
+    Beacon(Arc<[u8]>),
+}
 
 /// The vehicle's holdings, shared between its own loop, which adds, and the link, which answers.
 #[derive(Clone)]

@@ -13,7 +13,7 @@ use mcap::{McapError, MessageStream, WriteOptions, Writer};
 use protocol::keys::Key;
 use protocol::{Chunk, Manifest, Placement, PlacementPage, decode, encode};
 
-use crate::node::Kept;
+use super::Kept;
 use crate::recorder::mcap_reason;
 
 /// A segment is closed at this size, so that old ones can be dropped whole.
