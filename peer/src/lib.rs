@@ -15,3 +15,5 @@ pub mod recorder;
 pub mod store;
 pub mod swarm;
 pub mod team;
+#[cfg(test)]
+mod test_support;

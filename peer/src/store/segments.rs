@@ -278,29 +278,13 @@ fn segment_number(path: &Path) -> Option<u32> {
 
 #[cfg(test)]
 mod tests {
-    use geodesy::Datum;
-    use geometry::{Matrix7, Similarity, Timestamp};
-    use protocol::{MapId, Reference, VehicleId};
     use tempfile::TempDir;
 
     use super::*;
+    use crate::test_support::{self, map};
 
     fn placement(revision: u32) -> Kept {
-        Kept::Placement(Box::new(Placement {
-            map: MapId {
-                anchor: VehicleId::new("ugv1").unwrap(),
-                epoch: "1-0000000a".parse().unwrap(),
-            },
-            revision,
-            captured_at: Timestamp::default(),
-            datum: Datum::site("lab").unwrap(),
-            enu_from_map: Similarity::identity(),
-            covariance: Matrix7::identity(),
-            fix_sigma_m: 0.02,
-            reference: Reference::Fixed,
-            provenance: Vec::new(),
-            signature: Vec::new(),
-        }))
+        Kept::Placement(Box::new(test_support::placement(map(), revision)))
     }
 
     fn revisions(folder: &Path) -> Vec<u32> {

@@ -1,47 +1,18 @@
-use geodesy::Datum;
-use geometry::{Matrix7, Similarity, Timestamp};
+use geometry::Similarity;
 use nalgebra::UnitQuaternion;
-use protocol::{ChunkCamera, ChunkHeader, ChunkPlacement, ChunkPoint, Epoch, Reference};
+use protocol::ChunkPlacement;
 
 use super::*;
-
-fn vehicle(name: &str) -> VehicleId {
-    VehicleId::new(name).unwrap()
-}
-
-fn map() -> MapId {
-    MapId {
-        anchor: vehicle("ugv1"),
-        epoch: "1-0000000a".parse::<Epoch>().unwrap(),
-    }
-}
+use crate::test_support::{chunk, manifest, map, placement, vehicle};
 
 /// A store with three chunks of one point each, at 1, 11 and 21 m east.
 fn store() -> Store {
     let store = Store::new(vehicle("drone1"));
     let mut placements = Vec::new();
     for number in (0..3).map(ChunkNumber) {
-        let id = ChunkId { map: map(), number };
-        let header = ChunkHeader {
-            id: id.clone(),
-            captured_at: Timestamp::default(),
-            camera: ChunkCamera {
-                focal_length_px: 180.0,
-                width_px: 324,
-                height_px: 244,
-            },
-            replaces: Vec::new(),
-            reference: Reference::Fixed,
-            provenance: Vec::new(),
-            signature: Vec::new(),
-        };
-        let point = ChunkPoint {
-            position_in_chunk: Vector3::new(0.0, 0.0, 1.0),
-            depth_sigma: 0.01,
-            descriptor: [1; 32],
-        };
-        let chunk = Chunk::new(header, &[point]).unwrap();
-        store.hold(Kept::Chunk(id, Arc::from(encode(&chunk))));
+        let chunk = chunk(map(), number.0);
+        let payload = Arc::from(encode(&chunk));
+        store.hold(Kept::Chunk(chunk.id().clone(), payload));
         let east_m = 1.0 + 10.0 * f64::from(number.0);
         let translation = Vector3::new(east_m, 0.0, 0.0);
         placements.push(ChunkPlacement {
@@ -50,29 +21,8 @@ fn store() -> Store {
         });
     }
     store.hold(Kept::Page(PlacementPage::new(map(), 0, 1, &placements)));
-    store.hold(Kept::Placement(Box::new(Placement {
-        map: map(),
-        revision: 2,
-        captured_at: Timestamp::default(),
-        datum: Datum::site("lab").unwrap(),
-        enu_from_map: Similarity::identity(),
-        covariance: Matrix7::identity(),
-        fix_sigma_m: 0.02,
-        reference: Reference::Fixed,
-        provenance: Vec::new(),
-        signature: Vec::new(),
-    })));
-    store.hold(Kept::Manifest(Manifest {
-        map: map(),
-        revision: 1,
-        datum: Datum::site("lab").unwrap(),
-        chunks: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
-        bounding_box: None,
-        public_key: Vec::new(),
-        signature: Vec::new(),
-        holder: vehicle("ugv1"),
-        held: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
-    }));
+    store.hold(Kept::Placement(Box::new(placement(map(), 2))));
+    store.hold(Kept::Manifest(manifest(map(), 1)));
     store
 }
 

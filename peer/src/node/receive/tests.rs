@@ -1,20 +1,18 @@
 use camera::Calibration;
 use geodesy::Datum;
-use geometry::{Matrix7, Similarity};
 use nalgebra::Vector3;
-use protocol::{
-    ChunkCamera, ChunkHeader, ChunkNumber, ChunkPoint, Ranges, Reference, VehicleId, encode,
-};
+use protocol::encode;
 
 use super::*;
 use crate::node::{NodeSettings, PositionSource};
+use crate::test_support::{chunk, manifest, placement, vehicle};
 
 fn anchor() -> Node {
     let text = "resolution: [324, 244]\nintrinsics: [180.9, 180.94, 159.23, 155.72]\n\
                 distortion_model: radial-tangential\n\
                 distortion_coefficients: [0.0, 0.0, 0.0, 0.0]\ncamera_model: pinhole\n";
     let settings = NodeSettings {
-        id: VehicleId::new("ugv1").unwrap(),
+        id: vehicle("ugv1"),
         stale_after_s: 10.0,
         global_sigma_m: None,
         seed: 1,
@@ -39,31 +37,6 @@ fn own_map(node: &Node) -> MapId {
     }
 }
 
-fn chunk(map: MapId, number: u32) -> Chunk {
-    let header = ChunkHeader {
-        id: ChunkId {
-            map,
-            number: ChunkNumber(number),
-        },
-        captured_at: Timestamp::default(),
-        camera: ChunkCamera {
-            focal_length_px: 180.0,
-            width_px: 324,
-            height_px: 244,
-        },
-        replaces: Vec::new(),
-        reference: Reference::Fixed,
-        provenance: Vec::new(),
-        signature: Vec::new(),
-    };
-    let point = ChunkPoint {
-        position_in_chunk: Vector3::z(),
-        depth_sigma: 0.01,
-        descriptor: [1; 32],
-    };
-    Chunk::new(header, &[point]).unwrap()
-}
-
 fn hear(node: &mut Node, key: &Key, payload: Vec<u8>) -> Vec<Effect> {
     let mut effects = Vec::new();
     let payload: Arc<[u8]> = Arc::from(payload);
@@ -83,35 +56,18 @@ fn what_an_anchor_never_said_of_its_map_is_refused() {
     let mut node = anchor();
     let map = own_map(&node);
     let forged = chunk(map.clone(), 6012);
-    let placement = Placement {
-        map: map.clone(),
-        revision: u32::MAX,
-        captured_at: Timestamp::default(),
-        datum: Datum::site("lab").unwrap(),
-        enu_from_map: Similarity::identity(),
-        covariance: Matrix7::identity(),
-        fix_sigma_m: 0.02,
-        reference: Reference::Fixed,
-        provenance: Vec::new(),
-        signature: Vec::new(),
-    };
-    let manifest = Manifest {
-        map: map.clone(),
-        revision: 9,
-        datum: Datum::site("lab").unwrap(),
-        chunks: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
-        bounding_box: None,
-        public_key: Vec::new(),
-        signature: Vec::new(),
-        holder: VehicleId::new("ugv1").unwrap(),
-        held: Ranges::run(ChunkNumber(0), ChunkNumber(9)),
-    };
     let page = PlacementPage::new(map.clone(), 0, 7, &[]);
     let messages = [
         (Key::Chunk(forged.id().clone()), encode(&forged)),
-        (Key::Placement(map.clone()), encode(&placement)),
+        (
+            Key::Placement(map.clone()),
+            encode(&placement(map.clone(), u32::MAX)),
+        ),
         (Key::PlacementPage(map.clone(), 0), encode(&page)),
-        (Key::Manifest(map.anchor.clone()), encode(&manifest)),
+        (
+            Key::Manifest(map.anchor.clone()),
+            encode(&manifest(map.clone(), 9)),
+        ),
     ];
     let count = messages.len() as u64;
     for (key, payload) in messages {
