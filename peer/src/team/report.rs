@@ -26,9 +26,11 @@ pub struct VehicleReport {
     pub jumps: u64,
     /// Messages that are none.
     pub malformed: u64,
-    /// Images and fixes that could not be used, and messages for which there was no room.
+    /// Images that could not be used.
     pub unreadable_images: u64,
+    /// Fixes that could not be used.
     pub skipped_fixes: u64,
+    /// Messages for which there was no room.
     pub dropped_messages: u64,
     pub ms_per_frame_p50: Option<f64>,
 }
