@@ -145,6 +145,6 @@ fn feed(
     }
     // The loop may have ended for another reason.
     let _ = arrivals.send(Arrival::Input(Input::End));
-    // A simulator waits for the connection to close, which dropping the source does.
-    std::thread::sleep(Duration::from_millis(1));
+    // A simulator waits for the connection to close.
+    drop(source);
 }
