@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use serde::Deserialize;
 
-use crate::process::interrupt::{self, Interrupted};
+use crate::process::interrupt::{self, GLANCE, Interrupted};
 use crate::team::{Waited, how_it_ended};
 
 /// What the simulator says.
@@ -127,7 +127,7 @@ impl Simulator {
     ) -> anyhow::Result<(Vec<VehicleAddress>, usize)> {
         let mut waited = Waited::from(Instant::now());
         while waited.until(Instant::now()) < patience {
-            let event = self.next_event(Duration::from_millis(100))?;
+            let event = self.next_event(GLANCE)?;
             if interrupt::wished() {
                 return Err(Interrupted.into());
             }

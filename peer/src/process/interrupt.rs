@@ -10,6 +10,9 @@ static WISHED: AtomicBool = AtomicBool::new(false);
 #[error("interrupted")]
 pub struct Interrupted;
 
+/// How often a wait looks whether somebody wishes for the end.
+pub const GLANCE: Duration = Duration::from_millis(100);
+
 /// Signals so soon after the first are the same wish: `timeout` sends two at once.
 const SAME_WISH: Duration = Duration::from_secs(1);
 
@@ -38,7 +41,7 @@ fn wish_on(numbers: Vec<i32>) {
     }
     std::thread::spawn(move || {
         while !wished() {
-            std::thread::sleep(SAME_WISH / 10);
+            std::thread::sleep(GLANCE);
         }
         std::thread::sleep(SAME_WISH);
         for number in numbers {

@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::Duration;
 
 use geometry::Timestamp;
 
@@ -14,9 +13,6 @@ use super::interrupt;
 use super::vehicle::Vehicle;
 use crate::link::{Class, LinkEvent};
 use crate::node::Event;
-
-/// How often a wait looks whether somebody wishes for the end.
-const GLANCE: Duration = Duration::from_millis(100);
 
 /// Runs until the parent says so or is gone, or somebody ends this vehicle alone.
 pub(super) fn run(
@@ -29,7 +25,7 @@ pub(super) fn run(
     let mut waiting = Waiting::default();
     let mut pending: Option<Input> = None;
     while !interrupt::wished() {
-        let arrival = match arrivals.recv_timeout(GLANCE) {
+        let arrival = match arrivals.recv_timeout(interrupt::GLANCE) {
             Ok(arrival) => arrival,
             Err(RecvTimeoutError::Timeout) => continue,
             Err(RecvTimeoutError::Disconnected) => return,

@@ -14,7 +14,7 @@ use super::waited::Waited;
 use crate::config::VehicleConfig;
 use crate::process::VehicleSummary;
 use crate::process::control::{Order, Report};
-use crate::process::interrupt::{self, Interrupted};
+use crate::process::interrupt::{self, GLANCE, Interrupted};
 
 /// What the parent decides for a vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,8 +59,6 @@ struct Incoming {
 }
 
 const QUEUE_LIMIT: usize = 4096;
-/// How often a wait looks whether somebody wishes for the end.
-const GLANCE: Duration = Duration::from_millis(100);
 
 impl Crew {
     pub fn new() -> Self {
