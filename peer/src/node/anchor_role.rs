@@ -14,7 +14,7 @@ use super::PositionSource;
 use super::outlet::Outlet;
 use super::places::{Place, Places};
 use super::status::{KnownTie, Tie};
-use super::tied_pose::{TiedPose, pose_covariance, worst_sigma_m};
+use super::tied_pose::{TiedPose, pose_covariance, position_block, worst_sigma};
 
 /// The anchor's state machine, fed from the own map.
 pub struct AnchorRole {
@@ -105,7 +105,7 @@ impl AnchorRole {
             age_s: now - known.newest_fix_at,
             position_sigma_m: pose
                 .as_ref()
-                .map(|(_, covariance)| worst_sigma_m(covariance)),
+                .map(|(_, covariance)| worst_sigma(&position_block(covariance))),
             objection: (state != VehicleState::Global).then(|| reason.to_owned()),
             basis: reason.to_owned(),
         });

@@ -14,7 +14,7 @@ use vslam::FrameReport;
 use super::outlet::Outlet;
 use super::peer_role::PeerRole;
 use super::status::{KnownTie, Limits, Status, Tie};
-use super::tied_pose::{TiedPose, position_block, worst_sigma_m};
+use super::tied_pose::{TiedPose, position_block, worst_sigma};
 use super::{Effect, FramePose, GlobalFramePose, Node, Role};
 use crate::link::Class;
 
@@ -149,7 +149,7 @@ fn tie_to_anchors(role: &PeerRole, report: &FrameReport, now: Timestamp) -> Tied
         age_s: estimate.age_s,
         position_sigma_m: pose
             .as_ref()
-            .map(|(_, covariance)| worst_sigma_m(covariance)),
+            .map(|(_, covariance)| worst_sigma(&position_block(covariance))),
         objection,
         basis: format!("registered to {}", role.names(&estimate.anchors)),
     });

@@ -3,6 +3,8 @@
 use geometry::{Camera, Enu, Map, Matrix7, Similarity, Timestamp, Transform};
 use nalgebra::Vector3;
 
+use super::tied_pose::worst_sigma;
+
 /// Where the own map stood at a keyframe.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
@@ -22,9 +24,8 @@ impl Place {
         let adjoint = Similarity::from(way.inverse()).adjoint();
         let covariance = adjoint * self.covariance * adjoint.transpose()
             + self.drift_per_way * way.translation().norm();
-        let position = covariance.fixed_view::<3, 3>(3, 3).into_owned();
-        let variance = position.symmetric_eigenvalues().max().max(0.0);
-        self.enu_from_map.scale() * variance.sqrt()
+        let position_covariance = covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        self.enu_from_map.scale() * worst_sigma(&position_covariance)
     }
 }
 

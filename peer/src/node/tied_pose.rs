@@ -59,8 +59,8 @@ pub(super) fn position_block(covariance: &Matrix6<f64>) -> Matrix3<f64> {
     covariance.fixed_view::<3, 3>(3, 3).into_owned()
 }
 
-/// One sigma along the axis that is known worst.
-pub(super) fn worst_sigma_m(covariance: &Matrix6<f64>) -> f64 {
-    let eigenvalues = position_block(covariance).symmetric_eigenvalues();
+/// One sigma along the axis that is known worst, in the covariance's unit.
+pub(super) fn worst_sigma(position_covariance: &Matrix3<f64>) -> f64 {
+    let eigenvalues = position_covariance.symmetric_eigenvalues();
     eigenvalues.max().max(0.0).sqrt()
 }
