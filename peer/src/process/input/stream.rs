@@ -12,6 +12,7 @@ use sim::stream::{self, Malformed, Message, ReadError};
 
 use super::stamp_gate::StampGate;
 use super::{Input, Skipped, Source};
+use crate::dataset::ImageError;
 
 /// The vehicle's side of the connection.
 pub struct StreamSource {
@@ -91,19 +92,18 @@ impl StreamSource {
         }
         let image = frame.image;
         let camera = &self.calibration.camera;
-        let (got, expected) = (
-            (image.width(), image.height()),
-            (camera.width(), camera.height()),
-        );
-        if got == expected {
+        if (image.width(), image.height()) == (camera.width(), camera.height()) {
             return Input::Frame { captured_at, image };
         }
+        let error = ImageError::Size {
+            got_width: image.width(),
+            got_height: image.height(),
+            expected_width: camera.width(),
+            expected_height: camera.height(),
+        };
         Input::Unreadable {
             captured_at,
-            reason: format!(
-                "image of {}×{}, the calibration is for {}×{}: stream driver at {}",
-                got.0, got.1, expected.0, expected.1, self.address
-            ),
+            reason: format!("{error}: stream driver at {}", self.address),
         }
     }
 
