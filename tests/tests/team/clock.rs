@@ -6,26 +6,21 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
-use crate::processes::{starling, succeed};
+use crate::processes::{succeed, team_of};
 use crate::recordings::RECORDINGS;
 
 fn fly(ground: &str, drone: &Path, fixes: &Path, out: &Path) {
     succeed(
-        starling()
-            .args(["team", "--threads", "1", "--seed", "4", "--json"])
+        team_of(ground, fixes, out)
+            .args(["--threads", "1", "--seed", "4"])
             .args(["--fix-noise-m", "0.02"])
-            .args(["--anchor", ground])
-            .arg("--fixes")
-            .arg(fixes)
             .arg("--peer")
             .arg(
                 drone
                     .to_str()
                     .map(|drone| format!("{drone}@0..120"))
                     .unwrap(),
-            )
-            .arg("--out")
-            .arg(out),
+            ),
     );
 }
 

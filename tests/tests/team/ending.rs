@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::processes::{Vehicle, starling, succeed, summary};
+use crate::processes::{Vehicle, succeed, summary, team_of};
 use crate::recordings::RECORDINGS;
 
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -36,15 +36,9 @@ fn a_full_disk_costs_files_and_not_the_flight() {
 
 /// A team that has begun to fly.
 fn team(out: &Path) -> Child {
-    let child = starling()
-        .args(["team", "--json", "--anchor"])
-        .arg(&RECORDINGS.ground)
-        .arg("--fixes")
-        .arg(&RECORDINGS.fixes)
+    let child = team_of(&RECORDINGS.ground, &RECORDINGS.fixes, out)
         .arg("--peer")
         .arg(&RECORDINGS.drone)
-        .arg("--out")
-        .arg(out)
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()

@@ -10,21 +10,14 @@ use serde_json::Value;
 use sim::stream::{Message, write_message};
 use tempfile::TempDir;
 
-use crate::processes::{starling, summary};
+use crate::processes::{starling, summary, team_of};
 use crate::recordings::RECORDINGS;
 
 /// Flies the first second of the ground vehicle alone: exit code, JSON and diagnostics.
 fn fly(fixes: &Path) -> (Option<i32>, Value, String) {
     let folder = TempDir::new().unwrap();
-    let output = starling()
-        .args(["team", "--json", "--anchor"])
-        .arg(format!("{}@0..10", RECORDINGS.ground.display()))
-        .arg("--fixes")
-        .arg(fixes)
-        .arg("--out")
-        .arg(folder.path())
-        .output()
-        .unwrap();
+    let anchor = format!("{}@0..10", RECORDINGS.ground.display());
+    let output = team_of(anchor, fixes, folder.path()).output().unwrap();
     (
         output.status.code(),
         serde_json::from_slice(&output.stdout).unwrap_or_default(),

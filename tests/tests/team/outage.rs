@@ -3,22 +3,16 @@
 
 use tempfile::TempDir;
 
-use crate::processes::{starling, succeed, summary};
+use crate::processes::{succeed, summary, team_of};
 use crate::recordings::RECORDINGS;
 
 #[test]
 fn what_was_missed_in_an_outage_is_fetched_after_it() {
     let folder = TempDir::new().unwrap();
     succeed(
-        starling()
-            .args(["team", "--outage", "6..11", "--json", "--anchor"])
-            .arg(&RECORDINGS.ground)
-            .arg("--fixes")
-            .arg(&RECORDINGS.fixes)
-            .arg("--peer")
-            .arg(&RECORDINGS.drone)
-            .arg("--out")
-            .arg(folder.path()),
+        team_of(&RECORDINGS.ground, &RECORDINGS.fixes, folder.path())
+            .args(["--outage", "6..11", "--peer"])
+            .arg(&RECORDINGS.drone),
     );
     let (anchor, peer) = (
         summary(folder.path(), "anchor1"),

@@ -1,5 +1,6 @@
 //! Starting the binary, and reading what it leaves behind.
 
+use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -9,6 +10,16 @@ use serde_json::Value;
 
 pub fn starling() -> Command {
     Command::new(env!("CARGO_BIN_EXE_starling-tested"))
+}
+
+/// A flight with this anchor, told as JSON; its peers are still to be named.
+///
+/// - `anchor`: a recording, `FOLDER` or `FOLDER@A..B`.
+pub fn team_of(anchor: impl AsRef<OsStr>, fixes: &Path, out: &Path) -> Command {
+    let mut command = starling();
+    command.args(["team", "--json", "--anchor"]).arg(anchor);
+    command.arg("--fixes").arg(fixes).arg("--out").arg(out);
+    command
 }
 
 /// Runs to the end; panics with its diagnostics if it fails.

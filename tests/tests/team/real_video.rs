@@ -8,7 +8,7 @@ use peer::files::read_tum;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::processes::{starling, succeed};
+use crate::processes::{starling, succeed, team_of};
 
 /// A recording below `$STARLING_DATA/video`.
 fn recording(name: &str) -> Option<PathBuf> {
@@ -57,14 +57,9 @@ fn a_handheld_kitchen_is_tracked() {
 fn fly(anchor: &str, fixes: &Path, peer: &str, truth: &Path) {
     let folder = TempDir::new().unwrap();
     let output = succeed(
-        starling()
-            .args(["team", "--threads", "1", "--json", "--fix-noise-m", "0.02"])
-            .args(["--anchor", anchor])
-            .arg("--fixes")
-            .arg(fixes)
-            .args(["--peer", peer])
-            .arg("--out")
-            .arg(folder.path()),
+        team_of(anchor, fixes, folder.path())
+            .args(["--threads", "1", "--fix-noise-m", "0.02"])
+            .args(["--peer", peer]),
     );
     let report = json(&output);
     let peer = &report["vehicles"][1];
