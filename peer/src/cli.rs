@@ -1,6 +1,7 @@
 //! The command line: what each command takes, and which exit code it ends with.
 
 mod demo;
+mod flight;
 mod later;
 mod map;
 mod markers;

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use serde::Serialize;
 use sim::{Cut, ScenarioName};
 
+use super::flight::{FlightBar, FlightSummary};
 use super::run::client_line;
 use super::{Exit, output};
-use crate::demo::{DemoPlan, DemoReport, Progress, fly};
-use crate::team::{Ending, VehicleReport, table};
+use crate::demo::{DemoPlan, Progress, fly};
+use crate::team::{Ending, VehicleReport};
 
 #[derive(clap::Args)]
 pub struct DemoArguments {
@@ -29,47 +29,31 @@ pub struct DemoArguments {
     pub json: bool,
 }
 
-#[derive(Serialize)]
-struct DemoJson {
-    /// Every vehicle has flown to the end and is global, and nothing was lost: the exit code is 0.
-    ok: bool,
-    realtime_factor: Option<f64>,
-    vehicles: Vec<VehicleReport>,
-}
-
 pub fn run(arguments: &DemoArguments) -> anyhow::Result<Exit> {
     let plan = DemoPlan {
         scenario: ScenarioName::Lab,
         seed: arguments.seed,
         out: arguments.out.clone(),
     };
-    let mut bar: Option<output::Progress> = None;
+    let mut bar = FlightBar::default();
     let report = fly(&plan, &mut |progress| match progress {
         Progress::Listening { endpoints } => output::diagnose(&client_line(endpoints)),
-        Progress::Flying { frame_count, .. } => bar
-            .get_or_insert_with(|| output::Progress::start("flying", frame_count as u64))
-            .advance(1),
+        Progress::Flying { frame_count, .. } => bar.advance(frame_count),
         Progress::LinkCut { vehicle, cut } => {
             output::diagnose(&format!("{vehicle}: a link {}", describe(cut)));
         }
         Progress::LinkHealed { vehicle } => {
             output::diagnose(&format!("{vehicle}: a link is healed"));
         }
-        Progress::Said { vehicle, line } => {
-            if let Some(bar) = bar.take() {
-                bar.finish();
-            }
-            output::diagnose(&format!("{vehicle}: {line}"));
-        }
+        Progress::Said { vehicle, line } => bar.say(vehicle, line),
     })?;
-    if let Some(bar) = bar {
-        bar.finish();
-    }
+    bar.finish();
     let losses = report.losses.iter();
     let losses = losses.map(|loss| format!("warning: {loss}"));
     for line in report.ending.diagnostics().into_iter().chain(losses) {
         output::diagnose(&line);
     }
+    // The demo is there to show that everybody becomes global.
     let is_global = |vehicle: &VehicleReport| vehicle.state == "Global";
     let exit = match report.ending {
         Ending::Interrupted => Exit::Interrupted,
@@ -78,28 +62,16 @@ pub fn run(arguments: &DemoArguments) -> anyhow::Result<Exit> {
         Ending::Flown if !report.losses.is_empty() => Exit::DoneWithLoss,
         Ending::Flown => Exit::Done,
     };
-    print(report, exit == Exit::Done, arguments)?;
-    Ok(exit)
-}
-
-fn print(report: DemoReport, ok: bool, arguments: &DemoArguments) -> anyhow::Result<()> {
-    if arguments.json {
-        return output::print_json(&DemoJson {
-            ok,
-            realtime_factor: report.realtime_factor,
-            vehicles: report.vehicles,
-        });
-    }
-    for line in table(&report.vehicles) {
-        output::print_line(&line);
-    }
-    if let Some(realtime_factor) = report.realtime_factor {
-        output::print_line(&format!("{realtime_factor:.2} times real time"));
-    }
-    if let Some(plot) = report.plot {
+    let summary = FlightSummary {
+        ok: exit == Exit::Done,
+        realtime_factor: report.realtime_factor,
+        vehicles: report.vehicles,
+    };
+    summary.print(arguments.json)?;
+    if let Some(plot) = report.plot.filter(|_| !arguments.json) {
         output::print_line(&format!("the picture: {}", plot.display()));
     }
-    Ok(())
+    Ok(exit)
 }
 
 fn describe(cut: Cut) -> &'static str {

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::ArgMatches;
-use serde::Serialize;
 
+use super::flight::{FlightBar, FlightSummary};
 use super::run::client_line;
 use super::{Exit, UsageError, output};
 use crate::config::{PositionConfig, SIGMA_MAX_M};
 use crate::dataset::DatasetArgument;
 use crate::team::{
-    Ending, Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly, table,
+    Ending, Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly,
 };
 
 #[derive(clap::Args)]
@@ -52,32 +52,15 @@ pub struct TeamArguments {
     pub json: bool,
 }
 
-#[derive(Serialize)]
-struct TeamJson {
-    /// Everybody flew to the end and nothing was lost: the exit code is 0.
-    ok: bool,
-    realtime_factor: Option<f64>,
-    vehicles: Vec<VehicleReport>,
-}
-
 pub fn run(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Exit> {
     let plan = plan(arguments, order)?;
-    let mut bar: Option<output::Progress> = None;
+    let mut bar = FlightBar::default();
     let report = fly(&plan, &mut |progress| match progress {
         Progress::Listening { endpoints } => output::diagnose(&client_line(endpoints)),
-        Progress::Flying { tick_count, .. } => bar
-            .get_or_insert_with(|| output::Progress::start("flying", tick_count as u64))
-            .advance(1),
-        Progress::Said { vehicle, line } => {
-            if let Some(bar) = bar.take() {
-                bar.finish();
-            }
-            output::diagnose(&format!("{vehicle}: {line}"));
-        }
+        Progress::Flying { tick_count, .. } => bar.advance(tick_count),
+        Progress::Said { vehicle, line } => bar.say(vehicle, line),
     })?;
-    if let Some(bar) = bar {
-        bar.finish();
-    }
+    bar.finish();
     let losses = losses(&report);
     for line in report.ending.diagnostics().iter().chain(&losses) {
         output::diagnose(line);
@@ -88,7 +71,15 @@ pub fn run(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Exit
         Ending::Flown if !losses.is_empty() => Exit::DoneWithLoss,
         Ending::Flown => Exit::Done,
     };
-    print(&report, exit == Exit::Done, arguments.json)?;
+    let vehicles = report.vehicles.iter();
+    let summary = FlightSummary {
+        ok: exit == Exit::Done,
+        realtime_factor: report.realtime_factor,
+        vehicles: vehicles
+            .map(|summary| VehicleReport::new(summary, None))
+            .collect(),
+    };
+    summary.print(arguments.json)?;
     Ok(exit)
 }
 
@@ -102,27 +93,6 @@ fn losses(report: &TeamReport) -> Vec<String> {
     losses
         .chain(report.stalled.then(|| stall.to_owned()))
         .collect()
-}
-
-fn print(report: &TeamReport, ok: bool, json: bool) -> anyhow::Result<()> {
-    let vehicles = report.vehicles.iter();
-    let vehicles: Vec<VehicleReport> = vehicles
-        .map(|summary| VehicleReport::new(summary, None))
-        .collect();
-    if json {
-        return output::print_json(&TeamJson {
-            ok,
-            realtime_factor: report.realtime_factor,
-            vehicles,
-        });
-    }
-    for line in table(&vehicles) {
-        output::print_line(&line);
-    }
-    if let Some(realtime_factor) = report.realtime_factor {
-        output::print_line(&format!("{realtime_factor:.2} times real time"));
-    }
-    Ok(())
 }
 
 fn plan(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<TeamPlan> {

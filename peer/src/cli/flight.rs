@@ -1,0 +1,58 @@
+//! What `demo` and `team` tell of a flight in the same way.
+
+use serde::Serialize;
+
+use super::output;
+use crate::team::{VehicleReport, table};
+
+/// How it went; the names are those of the command line's contract.
+#[derive(Serialize)]
+pub struct FlightSummary {
+    /// The exit code is 0.
+    pub ok: bool,
+    pub realtime_factor: Option<f64>,
+    pub vehicles: Vec<VehicleReport>,
+}
+
+impl FlightSummary {
+    /// One JSON object, or a table for a reader.
+    pub fn print(&self, json: bool) -> anyhow::Result<()> {
+        if json {
+            return output::print_json(self);
+        }
+        for line in table(&self.vehicles) {
+            output::print_line(&line);
+        }
+        if let Some(realtime_factor) = self.realtime_factor {
+            output::print_line(&format!("{realtime_factor:.2} times real time"));
+        }
+        Ok(())
+    }
+}
+
+/// The progress bar of a flight, once it has begun.
+#[derive(Default)]
+pub struct FlightBar {
+    bar: Option<output::Progress>,
+}
+
+impl FlightBar {
+    /// One more step of so many is done.
+    pub fn advance(&mut self, step_count: usize) {
+        self.bar
+            .get_or_insert_with(|| output::Progress::start("flying", step_count as u64))
+            .advance(1);
+    }
+
+    /// Tells what a vehicle said; the flight is over by then.
+    pub fn say(&mut self, vehicle: &str, line: &str) {
+        self.finish();
+        output::diagnose(&format!("{vehicle}: {line}"));
+    }
+
+    pub fn finish(&mut self) {
+        if let Some(bar) = self.bar.take() {
+            bar.finish();
+        }
+    }
+}
