@@ -6,6 +6,7 @@ mod clock;
 mod failure;
 mod links;
 mod outage;
+mod owned_child;
 mod report;
 mod waited;
 
@@ -28,6 +29,7 @@ use clock::Tick;
 pub use failure::how_it_ended;
 pub use links::{LinkPair, Links, loopback_address};
 pub use outage::{MalformedOutage, Outage};
+pub use owned_child::{OwnedChild, read_json_lines};
 pub use report::{VehicleReport, table};
 pub use waited::Waited;
 

@@ -1,7 +1,6 @@
 //! The simulator as a child process: the only one that knows the truth.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -9,7 +8,7 @@ use anyhow::{Context, bail};
 use serde::Deserialize;
 
 use crate::process::interrupt::{self, GLANCE, Interrupted};
-use crate::team::{Waited, how_it_ended};
+use crate::team::{OwnedChild, Waited, how_it_ended, read_json_lines};
 
 /// What the simulator says.
 #[derive(Clone, Debug, Deserialize)]
@@ -56,7 +55,7 @@ pub struct VehicleTruth {
 
 /// The running simulator. It ends when this is dropped, or when the parent dies.
 pub struct Simulator {
-    child: Child,
+    child: OwnedChild,
     events: Receiver<SimulatorEvent>,
     is_lost: bool,
 }
@@ -71,22 +70,13 @@ impl Simulator {
             .stdout(Stdio::piped())
             .spawn()
             .context("cannot start the simulator")?;
-        let lines = child.stdout.take().context("the simulator has no stdout")?;
+        let said = child.stdout.take().context("the simulator has no stdout")?;
         let (sender, events) = sync_channel(QUEUE_LIMIT);
         std::thread::spawn(move || {
-            for line in BufReader::new(lines).lines().map_while(Result::ok) {
-                match serde_json::from_str(&line) {
-                    Ok(event) => {
-                        if sender.send(event).is_err() {
-                            return;
-                        }
-                    }
-                    Err(error) => tracing::warn!(%error, line, "simulator's line ignored"),
-                }
-            }
+            read_json_lines(said, |event| sender.send(event).is_ok());
         });
         Ok(Self {
-            child,
+            child: OwnedChild(child),
             events,
             is_lost: false,
         })
@@ -143,15 +133,5 @@ impl Simulator {
             "the simulator (process {}) does not listen",
             self.child.id()
         )
-    }
-}
-
-impl Drop for Simulator {
-    fn drop(&mut self) {
-        if !matches!(self.child.try_wait(), Ok(Some(_))) {
-            // It may have ended in this moment.
-            let _ = self.child.kill();
-            let _ = self.child.wait();
-        }
     }
 }

@@ -1,15 +1,16 @@
 //! Vehicles as child processes: orders down a pipe, reports up, nobody left behind.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 
 use super::failure::{Trouble, VehicleFailure, how_it_ended};
+use super::owned_child::{OwnedChild, read_json_lines};
 use super::waited::Waited;
 use crate::config::VehicleConfig;
 use crate::process::VehicleSummary;
@@ -42,7 +43,7 @@ pub struct Crew {
 
 struct Member {
     id: String,
-    child: Child,
+    child: OwnedChild,
     orders: Option<ChildStdin>,
     /// What it says to people.
     log: PathBuf,
@@ -100,29 +101,20 @@ impl Crew {
         let reports = child.stdout.take().context("the vehicle has no stdout")?;
         let sender = self.sender.clone();
         std::thread::spawn(move || {
-            for line in BufReader::new(reports).lines().map_while(Result::ok) {
-                match serde_json::from_str(&line) {
-                    Ok(report) => {
-                        let incoming = Incoming {
-                            vehicle_idx,
-                            report: Some(report),
-                        };
-                        if sender.send(incoming).is_err() {
-                            return;
-                        }
-                    }
-                    Err(error) => tracing::warn!(%error, line, "report ignored"),
-                }
-            }
-            let _ = sender.send(Incoming {
+            let incoming = |report| Incoming {
                 vehicle_idx,
-                report: None,
+                report,
+            };
+            read_json_lines(reports, |report| {
+                sender.send(incoming(Some(report))).is_ok()
             });
+            // The crew may be gone already.
+            let _ = sender.send(incoming(None));
         });
         self.members.push(Member {
             id: config.id.clone(),
             orders: child.stdin.take(),
-            child,
+            child: OwnedChild(child),
             log,
             summary: None,
             error: None,
@@ -338,14 +330,4 @@ fn last_line(log: &Path) -> Option<String> {
     let text = String::from_utf8_lossy(&text);
     let line = text.lines().rfind(|line| !line.trim().is_empty())?;
     Some(line.to_owned())
-}
-
-impl Drop for Member {
-    fn drop(&mut self) {
-        if !matches!(self.child.try_wait(), Ok(Some(_))) {
-            // It may have ended in this moment.
-            let _ = self.child.kill();
-            let _ = self.child.wait();
-        }
-    }
 }
