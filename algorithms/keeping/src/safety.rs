@@ -54,10 +54,22 @@ pub struct Limit {
     pub speed_mps_max: f64,
 }
 
+impl Limit {
+    fn excess_mps(&self, velocity: &Vector3<f64>) -> f64 {
+        self.direction.dot(velocity) - self.speed_mps_max
+    }
+
+    fn is_broken_by(&self, velocity: &Vector3<f64>) -> bool {
+        self.excess_mps(velocity) > SLACK_MPS
+    }
+}
+
 pub type Limits = Bounded<Limit, { TRACK_COUNT_MAX + OBSTACLE_COUNT_MAX }>;
 
-/// Cyclic projection ends after so many rounds over the limits, whatever is left then.
+/// Between limits that contradict each other so many rounds are made.
 const SWEEP_COUNT: usize = 20;
+/// Directions at a smaller angle count as parallel.
+const PARALLEL_SIN: f64 = 1e-7;
 /// Limits broken by less are kept.
 const SLACK_MPS: f64 = 1e-9;
 /// Lateral neighbours see us too and do their half.
@@ -144,23 +156,79 @@ impl SafetySettings {
     }
 }
 
-/// The velocity near to the wanted one that keeps all limits, if there is one.
+/// The velocity nearest to the wanted one that keeps all limits.
 ///
-/// Cyclic projection onto half-spaces: each round moves the velocity the least that each limit
-/// asks for. Where the limits contradict each other, it ends between them.
+/// Where the limits contradict each other there is none, and it ends between them.
 pub fn limit(wanted: &Vector3<f64>, limits: &[Limit]) -> Vector3<f64> {
+    nearest_in_space(wanted, limits).unwrap_or_else(|| between(wanted, limits))
+}
+
+/// Adds one limit after the other. One that is broken bounds the new optimum, which therefore lies
+/// on its plane: the same question with one dimension less and only the limits before it (Seidel,
+/// "Small-dimensional linear programming and convex hulls made easy", 1991).
+fn nearest_in_space(wanted: &Vector3<f64>, limits: &[Limit]) -> Option<Vector3<f64>> {
+    let mut nearest = *wanted;
+    for (idx, limit) in limits.iter().enumerate() {
+        if limit.is_broken_by(&nearest) {
+            nearest = nearest_on_plane(wanted, limit, &limits[..idx])?;
+        }
+    }
+    Some(nearest)
+}
+
+fn nearest_on_plane(
+    wanted: &Vector3<f64>,
+    plane: &Limit,
+    limits: &[Limit],
+) -> Option<Vector3<f64>> {
+    let start = wanted - plane.direction * plane.excess_mps(wanted);
+    let mut nearest = start;
+    for (idx, limit) in limits.iter().enumerate() {
+        if limit.is_broken_by(&nearest) {
+            // What the limit leaves of the plane: a half-plane, whose border is a line.
+            let across = limit.direction - plane.direction * limit.direction.dot(&plane.direction);
+            let share = across.norm();
+            if share < PARALLEL_SIN {
+                return None;
+            }
+            let across = across / share;
+            let on_border = start - across * (limit.excess_mps(&start) / share);
+            let along = plane.direction.cross(&across);
+            nearest = nearest_on_line(&on_border, &along, &limits[..idx])?;
+        }
+    }
+    Some(nearest)
+}
+
+/// - `start`: the point of the line that would be nearest without limits.
+/// - `along`: of length one.
+fn nearest_on_line(
+    start: &Vector3<f64>,
+    along: &Vector3<f64>,
+    limits: &[Limit],
+) -> Option<Vector3<f64>> {
+    let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+    for limit in limits {
+        let share = limit.direction.dot(along);
+        let excess_mps = limit.excess_mps(start);
+        if share > PARALLEL_SIN {
+            high = high.min(-excess_mps / share);
+        } else if share < -PARALLEL_SIN {
+            low = low.max(-excess_mps / share);
+        } else if excess_mps > SLACK_MPS {
+            return None;
+        }
+    }
+    (low <= high).then(|| start + along * 0.0_f64.clamp(low, high))
+}
+
+/// Cyclic projection onto the half-spaces: each round moves the velocity the least that each limit
+/// asks for.
+fn between(wanted: &Vector3<f64>, limits: &[Limit]) -> Vector3<f64> {
     let mut velocity = *wanted;
     for _ in 0..SWEEP_COUNT {
-        let mut is_kept = true;
         for limit in limits {
-            let excess_mps = limit.direction.dot(&velocity) - limit.speed_mps_max;
-            if excess_mps > SLACK_MPS {
-                velocity -= limit.direction * excess_mps;
-                is_kept = false;
-            }
-        }
-        if is_kept {
-            break;
+            velocity -= limit.direction * limit.excess_mps(&velocity).max(0.0);
         }
     }
     velocity
@@ -224,14 +292,43 @@ mod tests {
         assert!((saved_mps - 1.0).abs() < 1e-9, "{saved_mps}");
     }
 
+    #[test]
+    fn nearly_opposed_limits_are_kept() {
+        let limits = [
+            Vector3::new(-0.71, 0.98, -0.56),
+            Vector3::new(0.67, -0.91, 0.23),
+        ]
+        .map(|direction| Limit {
+            direction: direction.normalize(),
+            speed_mps_max: 0.05,
+        });
+        let velocity = limit(&Vector3::new(0.0, -1.38, -1.3), &limits);
+        for limit in &limits {
+            assert!(!limit.is_broken_by(&velocity), "{velocity:?}");
+        }
+    }
+
+    #[test]
+    fn between_contradicting_limits_it_ends_between_them() {
+        let limits = [Vector3::x(), -Vector3::x()].map(|direction| Limit {
+            direction,
+            speed_mps_max: -0.1,
+        });
+        let velocity = limit(&Vector3::new(0.7, 0.3, 0.0), &limits);
+        assert!(velocity.x.abs() <= 0.1 + 1e-9, "{velocity:?}");
+        assert!((velocity.y - 0.3).abs() < 1e-9, "{velocity:?}");
+    }
+
     proptest! {
-        /// Goal: whatever is around, limits that can be kept are kept. Method: limits that zero
-        /// keeps, since standing still is always possible then.
+        /// Goal: whatever is around, limits that can be kept are kept, at the least cost. Method:
+        /// limits that zero keeps, since standing still is always possible then; no velocity that
+        /// keeps them, on the way to zero or to a random one, is nearer.
         #[test]
         fn limits_that_standing_still_keeps_are_kept(
             wanted in (-1.5_f64..1.5, -1.5_f64..1.5, -1.5_f64..1.5),
             raw in proptest::collection::vec(
-                (-1.0_f64..1.0, -1.0_f64..1.0, -1.0_f64..1.0, 0.05_f64..0.5), 0..12),
+                (-1.0_f64..1.0, -1.0_f64..1.0, -1.0_f64..1.0, 0.0_f64..0.5), 0..12),
+            other in (-1.5_f64..1.5, -1.5_f64..1.5, -1.5_f64..1.5),
         ) {
             let limits: Vec<Limit> = raw
                 .iter()
@@ -245,9 +342,22 @@ mod tests {
             let wanted = Vector3::new(wanted.0, wanted.1, wanted.2);
             let velocity = limit(&wanted, &limits);
             for limit in &limits {
-                prop_assert!(limit.direction.dot(&velocity) < limit.speed_mps_max + 0.05);
+                prop_assert!(limit.excess_mps(&velocity) < 1e-6, "{}", limit.excess_mps(&velocity));
             }
             prop_assert!(velocity.norm() <= wanted.norm() + 1e-9);
+            let other = Vector3::new(other.0, other.1, other.2);
+            // As far towards the other one as all limits allow, from zero and from the found one.
+            for from in [Vector3::zeros(), velocity] {
+                let step = other - from;
+                let share = limits.iter().fold(1.0_f64, |share, limit| {
+                    let speed_mps = limit.direction.dot(&step);
+                    let left_mps = -limit.excess_mps(&from);
+                    if speed_mps > 0.0 { share.min(left_mps / speed_mps) } else { share }
+                });
+                let allowed = from + step * share.max(0.0);
+                let saved_m = (velocity - wanted).norm() - (allowed - wanted).norm();
+                prop_assert!(saved_m < 1e-6, "{saved_m}");
+            }
         }
 
         #[test]
