@@ -247,14 +247,3 @@ fn name_direction(direction: &SMatrix<f64, 7, 1>) -> String {
     let [x, y, z] = std::array::from_fn(|idx| (axis[idx] * 100.0).round() / 100.0 + 0.0);
     format!("{kind} ({x:.2}, {y:.2}, {z:.2})")
 }
-
-/// Undoes the centring of both clouds.
-pub(crate) fn uncentred(
-    source: &ShapedCloud,
-    target: &ShapedCloud,
-    centred: &Similarity<Target, Source>,
-) -> Similarity<Target, Source> {
-    let translation = target.centroid + centred.translation()
-        - centred.rotation() * source.centroid * centred.scale();
-    Similarity::new(centred.scale(), *centred.rotation(), translation)
-}

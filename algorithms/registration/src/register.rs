@@ -3,7 +3,7 @@
 use geometry::{Similarity, Transform};
 use nalgebra::UnitQuaternion;
 
-use crate::acceptance::{judge, measure, uncentred};
+use crate::acceptance::{judge, measure};
 use crate::alignment::{Alignment, Outcome, Refusal, RegisterSettings, Source, Start, Target};
 use crate::cloud::{Cloud, ShapedCloud};
 use crate::icp::{IcpSettings, iterate};
@@ -39,12 +39,7 @@ pub fn align(source: &ShapedCloud, target: &ShapedCloud, settings: &RegisterSett
             };
         }
     };
-    let start = Similarity::new(
-        given.scale(),
-        *given.rotation(),
-        given * source.centroid - target.centroid,
-    );
-    align_from(source, target, &start, settings)
+    align_from(source, target, &centred(source, target, &given), settings)
 }
 
 /// Iterates from a start between the centred clouds, and judges the end.
@@ -90,6 +85,27 @@ fn align_from(
             quality: Some(quality),
         },
     }
+}
+
+/// An alignment of the clouds as one of the centred clouds.
+fn centred(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    alignment: &Similarity<Target, Source>,
+) -> Similarity<Target, Source> {
+    let translation = *alignment * source.centroid - target.centroid;
+    Similarity::new(alignment.scale(), *alignment.rotation(), translation)
+}
+
+/// The inverse of [`centred`].
+fn uncentred(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    centred: &Similarity<Target, Source>,
+) -> Similarity<Target, Source> {
+    let translation = target.centroid + centred.translation()
+        - centred.rotation() * source.centroid * centred.scale();
+    Similarity::new(centred.scale(), *centred.rotation(), translation)
 }
 
 #[cfg(test)]
