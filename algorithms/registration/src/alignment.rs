@@ -157,7 +157,10 @@ impl std::fmt::Display for Refusal {
                     "the shapes differ: normals of paired points agree to {agreement:.2}, \
                      and chance alone gives 0.5"
                 ),
-                None => write!(f, "the shapes differ: no surface, and no point on another"),
+                None => write!(
+                    f,
+                    "the shapes differ: too few surfaces to compare, and the points do not coincide"
+                ),
             },
             Self::ScaleOutOfBounds { scale } => write!(f, "scale {scale:.3} is out of bounds"),
         }
