@@ -19,7 +19,7 @@ const NORMAL_PAIR_COUNT_MIN: f64 = 20.0;
 /// Mean cosine between the normals of pairs. Chance gives 0.5, and 0.57 after the iteration has
 /// made the best of it; surfaces whose noise equals the spacing of their points still have 0.73.
 const NORMAL_AGREEMENT_MIN: f64 = 0.64;
-/// How far a shifted source is moved for comparison, in widths.
+/// How far a shifted source is moved for comparison, in widths; partners are sought within one.
 const SHIFT_WIDTHS: f64 = 2.0;
 /// Below this contrast single points coincide, whatever their normals: noise against other noise
 /// comes to 0.3 and more.
@@ -179,7 +179,7 @@ impl NormalAgreement {
 
 /// How far the source is from the target, relative to how far it is when shifted by
 /// `SHIFT_WIDTHS` widths: near zero where the clouds fit, near one where any other place would do
-/// as well. Squared distances, capped at the width.
+/// as well.
 fn contrast(
     source: &ShapedCloud,
     target: &ShapedCloud,
@@ -195,7 +195,8 @@ fn contrast(
     capped_squares(source, target, target_from_source, &Vector3::zeros(), width) / elsewhere
 }
 
-/// Over the source points that have a partner as they are aligned.
+/// Squared distances of the shifted source points from the target, added up; a point without a
+/// partner counts with the square of the width.
 fn capped_squares(
     source: &ShapedCloud,
     target: &ShapedCloud,

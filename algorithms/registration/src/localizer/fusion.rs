@@ -17,7 +17,8 @@ pub(super) struct Vote {
 
 impl Vote {
     /// The anchor's alignment at the camera's pose. The error of its georeference enters here,
-    /// once, as does the part of its map's error that no number of keyframes averages out.
+    /// once, as far as the way has not averaged it out, as does the part of its map's error that
+    /// no number of keyframes averages out.
     pub fn new(
         anchor: AnchorIdx,
         state: &State,

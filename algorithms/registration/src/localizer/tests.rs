@@ -103,6 +103,9 @@ fn stated_uncertainty_is_honest() {
     );
 }
 
+/// Keyframes before the anchor's chunks.
+const EARLY_COUNT: usize = 8;
+
 /// Goal: what is known in the end is better than what was known then, also where nothing was: the
 /// first keyframes come before the anchor's chunks.
 #[test]
@@ -154,8 +157,6 @@ fn hindsight_is_better_and_reaches_back_before_the_first_landmarks() {
     println!("hindsight: {:.2} of the error", (now_sum / then_sum).sqrt());
     assert!(now_sum < 0.8 * then_sum, "{now_sum} {then_sum}");
 }
-
-const EARLY_COUNT: usize = 8;
 
 fn honest(idx: u32) -> AnchorSettings {
     AnchorSettings {

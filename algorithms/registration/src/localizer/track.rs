@@ -74,8 +74,8 @@ impl State {
         }
     }
 
-    /// The share of a chunk's georeference error that remains: chunks far apart along the way err
-    /// apart, and the keyframes behind this average them.
+    /// The share of the variance of a chunk's georeference that remains: chunks far apart along
+    /// the way err apart, and the keyframes behind this average them.
     pub fn georeference_share(&self, settings: &LocalizerSettings) -> f64 {
         let averaged = 1.0 / (1.0 + self.way_depths / settings.georeference_correlation_depths);
         averaged.max(settings.georeference_share_min)

@@ -222,9 +222,10 @@ pub struct LocalizerSettings {
     pub anchor_disagreement_max: f64,
     /// Keyframes nearer than this many depths share their errors.
     pub correlation_depths: f64,
-    /// Over a way of so many depths the georeference errors of an anchor's chunks become
-    /// independent of each other, but for a share of their variance that all have in common.
+    /// The georeference errors of an anchor's chunks are alike over a way of so many depths: after
+    /// it, half of their variance is averaged out. Less states more certainty.
     pub georeference_correlation_depths: f64,
+    /// The share of that variance that all chunks have in common, so that no way averages it out.
     pub georeference_share_min: f64,
     pub drift: DriftRates,
     /// Of one located keyframe.
