@@ -46,7 +46,8 @@ impl Mapper {
         self.unsettled = map.keyframes().map(crate::Keyframe::id).collect();
     }
 
-    /// Goes on with a map that was left; its keyframes have been settled long ago.
+    /// Goes on with a map that was left. Those of its keyframes that were not yet reported as
+    /// settled never are: reports have been of another map since.
     pub(crate) fn resume(&mut self) {
         self.recent.clear();
         self.unsettled.clear();

@@ -27,9 +27,10 @@ pub struct FrameReport {
     pub keypoint_count: usize,
     /// The keyframe that this frame became.
     pub new_keyframe: Option<KeyframeId>,
-    /// Keyframes that left the window of local bundle adjustment, oldest first. Each keyframe is
-    /// named once, and from then on moves only when `map_revision` grows or by later refinements
-    /// that stay within its uncertainty.
+    /// Keyframes that left the window of local bundle adjustment, or have been in it for long,
+    /// oldest first. None is named twice; one that is culled, or whose map is lost, may never be.
+    /// From then on it moves only when `map_revision` grows or by later refinements that stay
+    /// within its uncertainty.
     pub settled: Vec<KeyframeId>,
 }
 

@@ -40,7 +40,7 @@ pub struct Vslam {
     mapper: Mapper,
     relocaliser: Relocaliser,
     map: VslamMap,
-    /// The largest of the maps that were lost.
+    /// The largest of the maps that were lost, small ones left out.
     earlier: Option<VslamMap>,
     /// Frames from before the map was born that are still to be found in it.
     backfill: Backfill,
@@ -134,7 +134,8 @@ impl Vslam {
         &self.map
     }
 
-    /// The map with the most keyframes so far: the one worth keeping at the end.
+    /// The map with the most keyframes so far, lost small ones left out: the one worth keeping at
+    /// the end.
     pub fn largest_map(&self) -> &VslamMap {
         // Of equals the last one counts, which is the newest.
         let maps = self.earlier.iter().chain([&self.map]);

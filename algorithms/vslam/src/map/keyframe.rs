@@ -35,7 +35,7 @@ pub struct Keyframe {
     pub(crate) grid: PlaneGrid,
     /// By how much adjustments have stretched the map around it since it was made.
     pub(crate) unit: f64,
-    /// The keyframe that was most covisible when this one was made; takes over if it is culled.
+    /// The keyframe that was most covisible when this one was made; only the first has none.
     pub(crate) parent: Option<KeyframeId>,
     /// The most covisible keyframes, as of the last change near it; some may have been culled.
     pub(crate) neighbours: Vec<KeyframeId>,

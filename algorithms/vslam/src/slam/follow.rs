@@ -10,13 +10,13 @@ use crate::{LostReason, MapId, TrackingState, VslamMap};
 
 /// After so many frames without a pose the last motion says nothing any more.
 const COASTED_MAX: u32 = 3;
-/// A map with fewer keyframes is given up when it is lost.
+/// A map with fewer keyframes is given up soon when it is lost, and not kept.
 const SMALL_MAP_KEYFRAMES: usize = 6;
 /// How long a small map is looked for, frames.
 const SMALL_MAP_PATIENCE: u32 = 10;
 /// How long a map is looked for before a new one is begun beside it, seconds.
 const PATIENCE_S: f64 = 5.0;
-/// Every so many frames an earlier map is looked for the camera.
+/// Every so many frames the camera is looked for in an earlier map.
 const RETURN_INTERVAL_FRAMES: u64 = 5;
 
 impl Vslam {
@@ -108,7 +108,7 @@ impl Vslam {
         Outcome::without_pose(TrackingState::Lost { reason })
     }
 
-    /// Begins a new map; the largest of the old ones is kept.
+    /// Begins a new map; the largest of the old ones is kept unless it is small.
     fn restart(&mut self) {
         let successor = self.map.successor(MapId(self.map_count));
         self.map_count += 1;
