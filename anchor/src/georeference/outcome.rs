@@ -9,7 +9,7 @@ use vslam::KeyframeId;
 
 use super::association::Tie;
 use super::chain::{Node, Solution, median};
-use super::{Depths, Georeference, PlacedKeyframe};
+use super::{DEPTH_UNTOLD_M, Depths, Georeference, PlacedKeyframe};
 use crate::{GeoreferenceSettings, KeyframePose};
 
 /// A fix beyond this, squared and whitened, is an outlier: 99.9 % of χ² with three degrees.
@@ -175,9 +175,9 @@ fn fit(
     umeyama(pairs.iter().copied(), true).ok()
 }
 
-/// How far from the camera the map's content is taken to be, in the unit of the map: three metres.
+/// How far from the camera the map's content is taken to be, in the unit of the map.
 fn reach(nodes: &[Node]) -> f64 {
-    3.0 / typical(nodes, |node| node.enu_from_camera.scale())
+    DEPTH_UNTOLD_M / typical(nodes, |node| node.enu_from_camera.scale())
 }
 
 /// How far towards what the anchor sees, as shares of its depth, others stand who see it too: not
