@@ -1,9 +1,11 @@
 //! Georeferencing of simulated, drifting maps.
 
 use geometry::{Enu, Map, Similarity, umeyama};
-use nalgebra::{Unit, Vector3};
+use nalgebra::{Matrix3, Unit, Vector3};
 
-use super::{Georeference, Georeferencer, LocalFix, NotObservable, d_point_d_tangent};
+use super::{
+    Georeference, Georeferencer, LocalFix, NotObservable, PlacedKeyframe, d_point_d_tangent,
+};
 use crate::simulation::{
     Drift, Frame, NO_DRIFT, Normal, TYPICAL_DRIFT, fly, fly_looking, straight, with_a_turn,
 };
@@ -47,20 +49,44 @@ fn placed_rms_m(frames: &[Frame], georeference: &Georeference) -> f64 {
 }
 
 /// Mean of eᵀP⁻¹e / 3 of points so far ahead of the cameras; at zero of the cameras themselves.
-fn nees_mean(frames: &[Frame], georeference: &Georeference, ahead_m: f64) -> f64 {
+///
+/// - `stated_of`: the covariance that is stated of such a point, given in the camera's axes and
+///   the map's unit.
+fn nees_of(
+    frames: &[Frame],
+    georeference: &Georeference,
+    ahead_m: f64,
+    stated_of: impl Fn(&Frame, &PlacedKeyframe, &Vector3<f64>) -> Matrix3<f64>,
+) -> f64 {
     let keyframes = frames.iter().filter(|frame| frame.keyframe.is_some());
     let (mut sum, mut count) = (0.0, 0.0);
     for frame in keyframes {
         let placed = georeference.keyframes[&frame.keyframe.unwrap()];
         let ahead = Vector3::z() * ahead_m;
-        let in_map = ahead / frame.scale_m;
-        let error = placed.enu_from_camera * in_map - frame.enu_from_camera * ahead;
-        let jacobian = d_point_d_tangent(&placed.enu_from_camera.linear_matrix(), &in_map);
-        let covariance = jacobian * placed.covariance * jacobian.transpose();
+        let in_map_unit = ahead / frame.scale_m;
+        let error = placed.enu_from_camera * in_map_unit - frame.enu_from_camera * ahead;
+        let covariance = stated_of(frame, &placed, &in_map_unit);
         sum += error.dot(&(covariance.try_inverse().unwrap() * error)) / 3.0;
         count += 1.0;
     }
     sum / count
+}
+
+/// Against the covariance of each keyframe.
+fn nees_mean(frames: &[Frame], georeference: &Georeference, ahead_m: f64) -> f64 {
+    nees_of(frames, georeference, ahead_m, |_, placed, ahead| {
+        let jacobian = d_point_d_tangent(&placed.enu_from_camera.linear_matrix(), ahead);
+        jacobian * placed.covariance * jacobian.transpose()
+    })
+}
+
+/// Against the one covariance that receivers are told.
+fn common_nees_mean(frames: &[Frame], georeference: &Georeference, ahead_m: f64) -> f64 {
+    nees_of(frames, georeference, ahead_m, |frame, _, ahead| {
+        let linear = georeference.enu_from_map.linear_matrix();
+        let jacobian = d_point_d_tangent(&linear, &(frame.map_from_camera * *ahead));
+        jacobian * georeference.covariance * jacobian.transpose()
+    })
 }
 
 #[test]
@@ -101,25 +127,6 @@ fn a_drifting_map_is_bent_to_the_fixes() {
     }
     println!("nees {:.3}", nees_sum / 6.0);
     assert!((0.2..1.5).contains(&(nees_sum / 6.0)), "{nees_sum}");
-}
-
-/// The same against the one covariance that receivers are told.
-fn common_nees_mean(frames: &[Frame], georeference: &Georeference, ahead_m: f64) -> f64 {
-    let keyframes = frames.iter().filter(|frame| frame.keyframe.is_some());
-    let (mut sum, mut count) = (0.0, 0.0);
-    for frame in keyframes {
-        let placed = georeference.keyframes[&frame.keyframe.unwrap()];
-        let ahead = Vector3::z() * ahead_m;
-        let in_map = frame.map_from_camera * (ahead / frame.scale_m);
-        let error =
-            placed.enu_from_camera * (ahead / frame.scale_m) - frame.enu_from_camera * ahead;
-        let linear = georeference.enu_from_map.linear_matrix();
-        let jacobian = d_point_d_tangent(&linear, &in_map);
-        let covariance = jacobian * georeference.covariance * jacobian.transpose();
-        sum += error.dot(&(covariance.try_inverse().unwrap() * error)) / 3.0;
-        count += 1.0;
-    }
-    sum / count
 }
 
 /// Goal: a map that drifts a third of what the model says is not stated as if it did. Method:
