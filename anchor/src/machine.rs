@@ -35,7 +35,8 @@ pub enum Event {
     Fix(PositionFix),
     /// Time passed; a few times a second.
     Tick,
-    /// The map was lost and a new one begun: a new epoch, with this random part.
+    /// Another map took the place of this one, be it new or an earlier one that was found again:
+    /// a new epoch, with this random part.
     MapRestarted {
         epoch_random: u32,
     },
