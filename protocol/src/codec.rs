@@ -14,7 +14,7 @@ const NESTING_MAX: usize = 16;
 pub trait Message: Sized {
     /// What the message is called in errors and in the schema.
     const KIND: &'static str;
-    /// The largest encoding that is accepted `bytes`.
+    /// The largest encoding that is accepted (bytes).
     const SIZE_BYTES_MAX: usize;
     /// The serialised form.
     #[doc(hidden)]

@@ -81,10 +81,10 @@ mod avx2 {
     use super::{BIN_COUNT, BLOCK, PROJECTION};
     use crate::Descriptor;
 
-    /// Vectors are copied by value: the load instructions' functions check their pointers in debug
-    /// builds, which the demo runs in.
     const LANES: usize = 8;
 
+    // Vectors are copied by value: the load instructions' functions check their pointers in debug
+    // builds, which the demo runs in.
     #[target_feature(enable = "avx2")]
     pub(super) fn binarise(bins: &[[i16; 2]; BIN_COUNT / 2]) -> Descriptor {
         let mut words = [0; 4];
