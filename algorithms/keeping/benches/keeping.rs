@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use keeping::{
-    FieldOfView, Keeper, KeeperSettings, PaperRule, PaperSettings, Perception, Placed, Range,
+    FieldOfView, Keeper, KeeperSettings, PaperRule, PaperRuleSettings, Perception, Placed, Range,
     Sighting,
 };
 use nalgebra::Vector3;
@@ -29,7 +29,7 @@ fn neighbours(count: usize) -> Vec<Placed> {
 }
 
 fn paper(criterion: &mut Criterion) {
-    let rule = PaperRule::new(PaperSettings::default());
+    let rule = PaperRule::new(PaperRuleSettings::default());
     for count in [3, 16] {
         let neighbours = neighbours(count);
         criterion.bench_function(&format!("paper/correction/{count}"), |bencher| {

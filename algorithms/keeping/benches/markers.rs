@@ -5,7 +5,7 @@ use std::hint::black_box;
 use camera::Image;
 use criterion::{Criterion, criterion_group, criterion_main};
 use geometry::Timestamp;
-use keeping::markers::{FinderSettings, PairFinder, PaperPipeline, PaperSettings};
+use keeping::markers::{FinderSettings, PairFinder, PaperPipeline, PaperPipelineSettings};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim::marker_light::MarkerScene;
@@ -39,7 +39,7 @@ fn pictures() -> Vec<(&'static str, Image)> {
 
 fn find(criterion: &mut Criterion) {
     let mut finder = PairFinder::new(FinderSettings::default(), WIDTH);
-    let mut paper = PaperPipeline::new(PaperSettings::default());
+    let mut paper = PaperPipeline::new(PaperPipelineSettings::default());
     for (name, image) in pictures() {
         criterion.bench_function(&format!("find/{name}/{WIDTH}x{HEIGHT}"), |bencher| {
             bencher.iter(|| finder.find(black_box(&image)).pairs.len());

@@ -25,7 +25,7 @@ pub use follower::{
 };
 pub use gabriel_rule::GabrielSettings;
 pub use keeper::{Command, HeadingRule, Keeper, KeeperSettings, Perception};
-pub use paper_rule::{PaperRule, PaperSettings, Placed};
+pub use paper_rule::{PaperRule, PaperRuleSettings, Placed};
 pub use safety::{Obstacle, SafetySettings};
 pub use sectors::{Sector, Sectors};
 pub use sighting::{Baseline, MarkerModel, Range, Separation, Sighting};

@@ -22,7 +22,7 @@ pub use blink::BlinkCode;
 pub use finder::{FinderSettings, FramePairs, PairFinder};
 pub use light::Light;
 pub use pairs::{MarkerPair, MergedPair};
-pub use paper::{PaperPair, PaperPipeline, PaperSettings};
+pub use paper::{PaperPair, PaperPipeline, PaperPipelineSettings};
 pub use tracker::{EgoMotion, MarkerTrack, MarkerTracker, TrackId, TrackState, TrackerSettings};
 pub use vision::{CameraMarkers, MarkerVision};
 

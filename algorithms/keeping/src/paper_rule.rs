@@ -6,7 +6,7 @@ use crate::sectors::{PAIR_COUNT, Sector, Sectors};
 
 /// The numbers of section 3.1.1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PaperSettings {
+pub struct PaperRuleSettings {
     /// d_p, between neighbours abeam.
     pub preferred_m: f64,
     /// d_p^f, to the neighbour ahead.
@@ -22,7 +22,7 @@ pub struct PaperSettings {
     pub visible_m: f64,
 }
 
-impl Default for PaperSettings {
+impl Default for PaperRuleSettings {
     fn default() -> Self {
         Self {
             preferred_m: 3.0,
@@ -46,14 +46,14 @@ pub struct Placed {
 /// The rule has no memory: it is its settings, prepared.
 #[derive(Clone, Copy, Debug)]
 pub struct PaperRule {
-    settings: PaperSettings,
+    settings: PaperRuleSettings,
     sectors: Sectors,
     /// "More distant" by more than the dead band, as a ratio.
     more_distant: f64,
 }
 
 impl PaperRule {
-    pub fn new(settings: PaperSettings) -> Self {
+    pub fn new(settings: PaperRuleSettings) -> Self {
         Self {
             settings,
             sectors: Sectors::new(settings.elevation_rad_max),

@@ -5,8 +5,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use keeping::{
-    FieldOfView, Keeper, KeeperSettings, Obstacle, PaperRule, PaperSettings, Perception, Placed,
-    Range, Sighting,
+    FieldOfView, Keeper, KeeperSettings, Obstacle, PaperRule, PaperRuleSettings, Perception,
+    Placed, Range, Sighting,
 };
 use nalgebra::Vector3;
 
@@ -56,7 +56,7 @@ fn no_step_costs_an_allocation() {
         clearance_m: 1.0,
     }];
     let views = [FieldOfView::all_but_rear()];
-    let rule = PaperRule::new(PaperSettings::default());
+    let rule = PaperRule::new(PaperRuleSettings::default());
     let mut keeper = Keeper::new(KeeperSettings::default());
     let before = ALLOCATION_COUNT.load(Ordering::Relaxed);
     for step in 0..10 {

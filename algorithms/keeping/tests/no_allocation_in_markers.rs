@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use camera::Image;
 use geometry::Timestamp;
 use keeping::markers::{
-    CameraMarkers, FinderSettings, PaperPipeline, PaperSettings, TrackerSettings,
+    CameraMarkers, FinderSettings, PaperPipeline, PaperPipelineSettings, TrackerSettings,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -53,7 +53,7 @@ fn no_image_costs_an_allocation() {
     }
     let finder = FinderSettings::default();
     let mut camera = CameraMarkers::new(finder, TrackerSettings::default(), 324);
-    let mut paper = PaperPipeline::new(PaperSettings::default());
+    let mut paper = PaperPipeline::new(PaperPipelineSettings::default());
     let before = ALLOCATION_COUNT.load(Ordering::Relaxed);
     let mut pair_count = 0;
     for (idx, image) in images.iter().cycle().take(3 * images.len()).enumerate() {

@@ -1,6 +1,6 @@
 //! What is flown: the rule, the swarm, its senses, and every number that can be set by name.
 
-use keeping::{HeadingRule, KeeperSettings, PaperSettings};
+use keeping::{HeadingRule, KeeperSettings, PaperRuleSettings};
 use sim::swarm::{LightBaseline, SensingSettings, SwarmSettings};
 
 /// Which rule the drones follow.
@@ -25,7 +25,7 @@ pub enum SensingName {
 pub struct Scenario {
     pub rule: RuleName,
     pub swarm: SwarmSettings,
-    pub paper: PaperSettings,
+    pub paper: PaperRuleSettings,
     pub keeper: KeeperSettings,
     pub duration_s: f64,
 }
@@ -50,7 +50,7 @@ impl Scenario {
         let mut scenario = Self {
             rule,
             swarm: SwarmSettings::default(),
-            paper: PaperSettings::default(),
+            paper: PaperRuleSettings::default(),
             keeper: KeeperSettings::default(),
             duration_s: 120.0,
         };

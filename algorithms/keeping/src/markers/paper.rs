@@ -15,7 +15,7 @@ use super::runs::RunJoiner;
 
 /// The numbers of the pipeline.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PaperSettings {
+pub struct PaperPipelineSettings {
     /// Pixels from this grey level on belong to lights.
     pub threshold: u8,
     pub area_px: RangeInclusive<u32>,
@@ -29,7 +29,7 @@ pub struct PaperSettings {
     pub low_pass_s: f64,
 }
 
-impl Default for PaperSettings {
+impl Default for PaperPipelineSettings {
     fn default() -> Self {
         Self {
             threshold: 230,
@@ -61,7 +61,7 @@ pub struct PaperPair {
 /// The paper's pipeline; it remembers the pair of the frame before.
 #[derive(Clone, Debug)]
 pub struct PaperPipeline {
-    settings: PaperSettings,
+    settings: PaperPipelineSettings,
     joiner: RunJoiner,
     centroids_px: Vec<[f64; 2]>,
     previous: Option<(PaperPair, Timestamp)>,
@@ -71,7 +71,7 @@ pub struct PaperPipeline {
 const RUN_COUNT_MAX: u16 = 1024;
 
 impl PaperPipeline {
-    pub fn new(settings: PaperSettings) -> Self {
+    pub fn new(settings: PaperPipelineSettings) -> Self {
         Self {
             settings,
             joiner: RunJoiner::with_run_count_max(RUN_COUNT_MAX),

@@ -20,9 +20,9 @@ fn velocities(rule: &PaperRule, positions: &[Vector3<f64>]) -> Vec<Vector3<f64>>
 }
 
 fn unlimited() -> PaperRule {
-    PaperRule::new(PaperSettings {
+    PaperRule::new(PaperRuleSettings {
         visible_m: f64::INFINITY,
-        ..PaperSettings::default()
+        ..PaperRuleSettings::default()
     })
 }
 
@@ -132,7 +132,7 @@ proptest! {
         raw in proptest::collection::vec(
             (-6.0_f64..6.0, -6.0_f64..6.0, -6.0_f64..6.0), 0..20),
     ) {
-        let rule = PaperRule::new(PaperSettings::default());
+        let rule = PaperRule::new(PaperRuleSettings::default());
         let placed: Vec<Placed> = raw
             .iter()
             .map(|(x, y, z)| Vector3::new(*x, *y, *z))

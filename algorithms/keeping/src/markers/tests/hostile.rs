@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::markers::{
-    CameraMarkers, FinderSettings, PaperPipeline, PaperSettings, TrackerSettings,
+    CameraMarkers, FinderSettings, PaperPipeline, PaperPipelineSettings, TrackerSettings,
 };
 
 fn check(image: &Image, camera: &mut CameraMarkers, paper: &mut PaperPipeline, idx: i64) {
@@ -46,7 +46,7 @@ fn any_picture_is_looked_at() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let settings = FinderSettings::default();
     let mut camera = CameraMarkers::new(settings, TrackerSettings::default(), 64);
-    let mut paper = PaperPipeline::new(PaperSettings::default());
+    let mut paper = PaperPipeline::new(PaperPipelineSettings::default());
     let sizes = [
         [0, 0],
         [1, 1],
@@ -81,7 +81,7 @@ fn spots_at_every_edge_and_of_every_size_are_looked_at() {
     let mut rng = ChaCha8Rng::seed_from_u64(12);
     let settings = FinderSettings::default();
     let mut camera = CameraMarkers::new(settings, TrackerSettings::default(), 64);
-    let mut paper = PaperPipeline::new(PaperSettings::default());
+    let mut paper = PaperPipeline::new(PaperPipelineSettings::default());
     for idx in 0..300 {
         let mut image = Image::filled(64, 48, rng.random_range(0..100));
         for _ in 0..12 {

@@ -6,7 +6,7 @@ use camera::Image;
 use geometry::Timestamp;
 use sim::marker_light::{MarkerFrame, MarkerScene, TruePair};
 
-use crate::markers::{FinderSettings, PairFinder, PaperPipeline, PaperSettings};
+use crate::markers::{FinderSettings, PairFinder, PaperPipeline, PaperPipelineSettings};
 
 /// A pair found in a picture.
 struct Found {
@@ -105,7 +105,7 @@ fn run_robust(scene: &MarkerScene, picture_count: u64) -> Tally {
 fn run_paper(scene: &MarkerScene, picture_count: u64) -> Tally {
     run(scene, picture_count, |image| {
         // Pictures are unrelated: each is a first one.
-        let mut pipeline = PaperPipeline::new(PaperSettings::default());
+        let mut pipeline = PaperPipeline::new(PaperPipelineSettings::default());
         let pair = pipeline.find(image, Timestamp::from_nanoseconds(0));
         let found = pair.map(|pair| Found {
             center_px: [0, 1]

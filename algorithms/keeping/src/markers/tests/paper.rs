@@ -3,7 +3,7 @@
 use camera::Image;
 use geometry::Timestamp;
 
-use crate::markers::{PaperPair, PaperPipeline, PaperSettings};
+use crate::markers::{PaperPair, PaperPipeline, PaperPipelineSettings};
 
 fn stamp(frame_idx: i64) -> Timestamp {
     Timestamp::from_nanoseconds(50_000_000 * frame_idx)
@@ -23,7 +23,7 @@ fn picture(places: &[[usize; 2]]) -> Image {
 }
 
 fn watch(frames: &[&[[usize; 2]]]) -> Vec<Option<PaperPair>> {
-    let mut pipeline = PaperPipeline::new(PaperSettings::default());
+    let mut pipeline = PaperPipeline::new(PaperPipelineSettings::default());
     let see =
         |(idx, places): (usize, &&[[usize; 2]])| pipeline.find(&picture(places), stamp(idx as i64));
     frames.iter().enumerate().map(see).collect()
@@ -71,12 +71,12 @@ fn areas_outside_the_gate_are_no_markers() {
     for row in 150..162 {
         image.pixels_mut()[row * 324 + 100..row * 324 + 111].fill(250);
     }
-    let mut pipeline = PaperPipeline::new(PaperSettings::default());
+    let mut pipeline = PaperPipeline::new(PaperPipelineSettings::default());
     let pair = pipeline.find(&image, stamp(0)).unwrap();
     assert_eq!(pair.separation_px, 12.0);
-    let strict = PaperSettings {
+    let strict = PaperPipelineSettings {
         area_px: 1..=8,
-        ..PaperSettings::default()
+        ..PaperPipelineSettings::default()
     };
     assert_eq!(PaperPipeline::new(strict).find(&image, stamp(0)), None);
 }
