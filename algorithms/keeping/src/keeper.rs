@@ -7,6 +7,7 @@ use crate::paper_rule::Placed;
 use crate::safety::{self, Flight, Limit, Limits, OBSTACLE_COUNT_MAX, Obstacle, SafetySettings};
 use crate::sighting::Sighting;
 use crate::tracks::{TrackSettings, Tracks};
+use crate::turn::Turn;
 use crate::view::{Coverage, FieldOfView};
 
 /// Where a vehicle without compass flies to.
@@ -135,12 +136,13 @@ impl Keeper {
         let tracks = &self.tracks;
         let sighting_count_min = self.settings.sighting_count_min;
         let far_m_min = FAR_SHARE * self.settings.rule.preferred_m;
+        let heading_from_level = Turn::by(-heading_rad);
         let placed = tracks.tracks().iter().filter_map(|track| {
             let is_usable = tracks.is_held(track) && track.sighting_count >= sighting_count_min;
             // Lights that merged because they are far away pull from their smallest range.
             let far_m = Some(track.range.low_m).filter(|low_m| *low_m >= far_m_min);
             Some(Placed {
-                direction: turned_by(&track.direction_in_level, -heading_rad),
+                direction: heading_from_level.of(&track.direction_in_level),
                 range_m: track.range_m.or(far_m).filter(|_| is_usable)?,
             })
         });
@@ -150,9 +152,9 @@ impl Keeper {
 
     fn smooth(&mut self, wanted: &Vector3<f64>, heading_rad: f64, step_s: f64) -> Vector3<f64> {
         let gain = 1.0 - (-step_s / self.settings.smoothing_s).exp();
-        let wanted_in_level = turned_by(wanted, heading_rad);
+        let wanted_in_level = Turn::by(heading_rad).of(wanted);
         self.correction_in_level += (wanted_in_level - self.correction_in_level) * gain;
-        turned_by(&self.correction_in_level, -heading_rad)
+        Turn::by(-heading_rad).of(&self.correction_in_level)
     }
 
     /// The nominal velocity, turned aside where an obstacle is ahead.
@@ -186,8 +188,9 @@ impl Keeper {
     fn collect_limits(&mut self, perception: &Perception<'_>, flight: &Flight, freedom: &Freedom) {
         self.limits.clear();
         let safety = &self.settings.safety;
+        let heading_from_level = Turn::by(-perception.heading_rad);
         for track in self.tracks.tracks() {
-            let direction = turned_by(&track.direction_in_level, -perception.heading_rad);
+            let direction = heading_from_level.of(&track.direction_in_level);
             let limit = safety.neighbour_limit(direction, track, flight);
             if let Some(limit) = limit.and_then(|limit| freedom.kept_by(&limit)) {
                 // Room for all tracks and obstacles is reserved.
@@ -290,19 +293,6 @@ const FAR_SHARE: f64 = 1.5;
 /// An obstacle that is passed at this clearance needs no detour.
 const PASSING_M: f64 = 1.5;
 const DETOUR_GAIN: f64 = 1.5;
-
-/// Turned about the vertical.
-fn turned_by(vector: &Vector3<f64>, angle_rad: f64) -> Vector3<f64> {
-    if angle_rad == 0.0 {
-        return *vector;
-    }
-    let (sin, cos) = angle_rad.sin_cos();
-    Vector3::new(
-        cos * vector.x - sin * vector.y,
-        sin * vector.x + cos * vector.y,
-        vector.z,
-    )
-}
 
 #[cfg(test)]
 mod tests {

@@ -17,6 +17,7 @@ pub mod safety;
 mod sectors;
 mod sighting;
 mod tracks;
+mod turn;
 mod view;
 
 pub use bounded::Bounded;

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use crate::bounded::Bounded;
 use crate::sighting::{Range, Sighting};
+use crate::turn::Turn;
 
 /// More neighbours than this are not followed; the farthest are left out.
 pub const TRACK_COUNT_MAX: usize = 128;
@@ -113,19 +114,13 @@ impl Tracks {
         self.tracks
             .retain(|track| track.age_s <= memory_s + AGE_SLACK_S);
         self.is_taken = [false; TRACK_COUNT_MAX];
-        let (sin, cos) = heading_rad.sin_cos();
+        let level_from_heading = Turn::by(heading_rad);
         let known_count = self.tracks.len();
         let gains = Gains::after(step_s, &self.settings);
         let mut next = 0;
         for sighting in sightings {
-            let direction = &sighting.direction;
-            let direction_in_level = Vector3::new(
-                cos * direction.x - sin * direction.y,
-                sin * direction.x + cos * direction.y,
-                direction.z,
-            );
             let measured = Measured {
-                direction_in_level,
+                direction_in_level: level_from_heading.of(&sighting.direction),
                 range: sighting.range,
                 log_range: sighting.range.expected_m.map(f64::ln),
             };
