@@ -6,7 +6,7 @@ use camera::Image;
 
 use super::light::{self, Light, LightGates};
 use super::pairs::{self, Candidate, MarkerPair, MergedPair, PairGates};
-use super::runs::{Component, Run, RunJoiner};
+use super::runs::{Component, RunJoiner, TooManyRuns};
 use super::scan;
 
 /// What counts as a pair of marker lights.
@@ -75,7 +75,8 @@ const RUN_COUNT_MAX: u16 = 1024;
 const COMPONENT_COUNT_MAX: usize = 48;
 /// The faintest are forgotten.
 const LIGHT_COUNT_MAX: usize = 32;
-const PAIR_COUNT_MAX: usize = 16;
+/// The least likely are not given.
+pub(super) const PAIR_COUNT_MAX: usize = 16;
 /// Contrasts from here on tell nothing about the noise.
 const CONTRAST_MIN_MAX: f64 = 200.0;
 const CLIPPED_CONTRAST_SHARE: f64 = 0.4;
@@ -159,11 +160,7 @@ impl PairFinder {
         }
     }
 
-    fn collect_lights(
-        &mut self,
-        image: &Image,
-        gates: &LightGates,
-    ) -> Result<(), super::runs::TooManyRuns> {
+    fn collect_lights(&mut self, image: &Image, gates: &LightGates) -> Result<(), TooManyRuns> {
         self.padded_row.resize(image.width() + 2 * scan::ARM_PX, 0);
         let threshold = gates.clipped_contrast_min as u8;
         scan::find_bright(image, threshold, &mut self.padded_row, &mut self.joiner)?;
@@ -254,19 +251,4 @@ fn keep(lights: &mut Vec<Light>, light: Light) {
     if light.contrast > fainter.contrast {
         *fainter = light;
     }
-}
-
-/// Runs of bright pixels, for the paper's pipeline.
-pub(super) fn bright_runs(row: &[u8], y: usize, threshold: u8) -> impl Iterator<Item = Run> {
-    let mut x = 0;
-    std::iter::from_fn(move || {
-        let start = x + row[x..].iter().position(|pixel| *pixel >= threshold)?;
-        let length = row[start..].iter().position(|pixel| *pixel < threshold);
-        x = length.map_or(row.len(), |length| start + length);
-        Some(Run {
-            y: y as u16,
-            x_start: start as u16,
-            x_end: x as u16,
-        })
-    })
 }

@@ -94,7 +94,7 @@ const SIGMA_OF_HALF_PX: f64 = 0.1;
 /// Sampling and rounding leave this much even without noise.
 const SIGMA_FLOOR_PX: f64 = 0.012;
 /// From here on a pixel may be clipped.
-const SATURATED_FROM: u8 = 250;
+pub(super) const SATURATED_FROM: u8 = 250;
 
 /// Rows of bits, one for each pixel inside a ring and on it.
 type Mask = [u32; RING_SIDE_MAX_PX];

@@ -9,9 +9,8 @@ use std::ops::RangeInclusive;
 use camera::Image;
 use geometry::Timestamp;
 
-use super::finder::bright_runs;
 use super::pairs::angle_between_lines;
-use super::runs::RunJoiner;
+use super::runs::{RunJoiner, bright_runs};
 
 /// The numbers of the pipeline.
 #[derive(Clone, Debug, PartialEq)]

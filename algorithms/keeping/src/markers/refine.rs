@@ -7,7 +7,7 @@
 use camera::Image;
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 
-use super::light::Light;
+use super::light::{Light, SATURATED_FROM};
 
 /// A Gaussian over pixels: `exp(constant + g·x + xᵀ H x / 2)`, with `x` from the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,8 +29,6 @@ pub(super) struct LogPeak {
     pub sigma: f64,
 }
 
-/// From here on a pixel may be clipped.
-const CLIPPED_FROM: u8 = 250;
 /// Pixels below this share of the peak say more about the background than about the light.
 const LEVEL_OF_CONTRAST_MIN: f64 = 0.1;
 /// Below this many sigmas of the noise the logarithm is not that of the light.
@@ -168,7 +166,7 @@ impl LogSums {
             for (x, pixel) in columns.clone().zip(&image.row(y)[columns]) {
                 let dx = x as f64 - center_x;
                 let distance_squared = dx * dx + dy * dy;
-                if *pixel >= CLIPPED_FROM || distance_squared > reach_px * reach_px {
+                if *pixel >= SATURATED_FROM || distance_squared > reach_px * reach_px {
                     continue;
                 }
                 let at = [x as f64, y as f64];

@@ -51,6 +51,21 @@ impl Component {
     }
 }
 
+/// The runs of a row's pixels that are at least as bright as a threshold.
+pub(super) fn bright_runs(row: &[u8], y: usize, threshold: u8) -> impl Iterator<Item = Run> {
+    let mut x = 0;
+    std::iter::from_fn(move || {
+        let start = x + row[x..].iter().position(|pixel| *pixel >= threshold)?;
+        let length = row[start..].iter().position(|pixel| *pixel < threshold);
+        x = length.map_or(row.len(), |length| start + length);
+        Some(Run {
+            y: y as u16,
+            x_start: start as u16,
+            x_end: x as u16,
+        })
+    })
+}
+
 /// More runs than there is room for: the picture is full of noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TooManyRuns;

@@ -11,7 +11,7 @@ use geometry::Timestamp;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::blink::{BlinkCode, Brightness, HISTORY_LEN};
-use super::finder::FramePairs;
+use super::finder::{FramePairs, PAIR_COUNT_MAX};
 use super::pairs::MarkerPair;
 use filter::Filter;
 
@@ -110,7 +110,6 @@ pub struct MarkerTracker {
 
 /// Beyond these the least certain are not begun.
 const TRACK_COUNT_MAX: usize = 16;
-const PAIR_COUNT_MAX: usize = 16;
 /// Seen this often in the last four frames is believed.
 const CONFIRMING_COUNT: u32 = 3;
 const CONFIRMING_FRAMES: u32 = 0b1111;

@@ -2,8 +2,7 @@
 
 use proptest::prelude::*;
 
-use crate::markers::finder::bright_runs;
-use crate::markers::runs::{RunJoiner, TooManyRuns};
+use crate::markers::runs::{RunJoiner, TooManyRuns, bright_runs};
 
 const WIDTH: usize = 17;
 const HEIGHT: usize = 13;
