@@ -10,7 +10,7 @@ use crate::tracks::{TrackSettings, Tracks};
 use crate::turn::Turn;
 use crate::view::{Coverage, FieldOfView};
 
-/// Where a vehicle without compass flies to.
+/// What becomes of a vehicle's heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HeadingRule {
     /// Its heading is held: a compass, or a site, made everybody's the same.

@@ -104,6 +104,7 @@ impl LogParabola {
         })
     }
 
+    /// The logarithm of the fitted peak.
     ///
     /// - `contrast`: of the peak as it is seen; the farther above it, the less sure.
     pub fn log_peak(&self, contrast: f64) -> LogPeak {
