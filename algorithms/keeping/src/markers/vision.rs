@@ -67,3 +67,30 @@ impl MarkerVision {
         cameras.flat_map(|(idx, camera)| camera.tracks().iter().map(move |track| (idx, track)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use sim::marker_light::MarkerScene;
+
+    use super::*;
+
+    /// Goal: each camera follows its own pairs. Method: only the second of two sees any.
+    #[test]
+    fn tracks_carry_the_number_of_their_camera() {
+        let settings = (FinderSettings::default(), TrackerSettings::default());
+        let camera = CameraMarkers::new(settings.0, settings.1, 324);
+        let mut vision = MarkerVision::new(vec![camera.clone(), camera]);
+        let lab = MarkerScene::lab();
+        for idx in 0..3 {
+            let captured_at = Timestamp::from_nanoseconds(50_000_000 * idx);
+            for (camera_idx, scene) in [lab.without_pairs(), lab.clone()].iter().enumerate() {
+                let camera = vision.camera(camera_idx).unwrap();
+                camera.see(&scene.draw(3).image, captured_at, None);
+            }
+        }
+        let cameras: Vec<usize> = vision.tracks().map(|(camera_idx, _)| camera_idx).collect();
+        assert_eq!(cameras, [1]);
+        assert!(vision.tracks().all(|(_, track)| track.is_confirmed()));
+        assert!(vision.camera(2).is_none());
+    }
+}
