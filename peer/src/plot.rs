@@ -2,6 +2,7 @@
 //! over time.
 
 mod annotation;
+mod axes;
 mod axis;
 mod canvas;
 mod chart;

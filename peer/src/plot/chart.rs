@@ -1,6 +1,7 @@
 //! Values over time, panel below panel.
 
 use super::Picture;
+use super::axes::Axes;
 use super::axis::Range;
 use super::canvas::{Anchor, Canvas, Color, Frame};
 
@@ -13,10 +14,10 @@ pub struct Chart {
 
 #[derive(Clone, Debug)]
 pub struct ChartPanel {
+    /// The quantity upward and its unit, such as `Distance [m]`.
     pub title: String,
-    /// Quantity and unit, such as `time [s]`.
+    /// The same across, such as `time [s]`.
     pub across_label: String,
-    pub upward_label: String,
     /// Later curves lie over earlier ones.
     pub curves: Vec<Curve>,
 }
@@ -69,7 +70,7 @@ impl ChartPanel {
             across: self.range(0, 0.0),
             upward: self.range(1, PADDING_SHARE),
         };
-        axes.draw(&self.across_label, &self.upward_label, canvas);
+        axes.draw(&self.across_label, canvas);
         for curve in &self.curves {
             let is_finite = |point: &[f64; 2]| point.iter().all(|value| value.is_finite());
             for piece in curve.points.split(|point| !is_finite(point)) {
@@ -107,56 +108,6 @@ impl ChartPanel {
     }
 }
 
-struct Axes {
-    frame: Frame,
-    across: Range,
-    upward: Range,
-}
-
-impl Axes {
-    fn place(&self, [across, upward]: [f64; 2]) -> [f64; 2] {
-        [
-            self.frame.left + (across - self.across.start) / self.across.span() * self.frame.width,
-            self.frame.top + (self.upward.end - upward) / self.upward.span() * self.frame.height,
-        ]
-    }
-
-    fn draw(&self, across_label: &str, upward_label: &str, canvas: &mut impl Canvas) {
-        let Frame {
-            left,
-            top,
-            width,
-            height,
-        } = self.frame;
-        let (right, bottom) = (left + width, top + height);
-        let (ticks, decimals) = self.across.ticks(width / 110.0);
-        for tick in ticks {
-            let [x, _] = self.place([tick, self.upward.start]);
-            canvas.line(&[[x, top], [x, bottom]], Color::LIGHT, 1.0, None);
-            // Adding zero turns minus zero into zero.
-            let text = format!("{:.decimals$}", tick + 0.0);
-            canvas.text([x, bottom + 18.0], Anchor::Middle, &text);
-        }
-        let (ticks, decimals) = self.upward.ticks(height / 50.0);
-        for tick in ticks {
-            let [_, y] = self.place([self.across.start, tick]);
-            canvas.line(&[[left, y], [right, y]], Color::LIGHT, 1.0, None);
-            let text = format!("{:.decimals$}", tick + 0.0);
-            canvas.text([left - 8.0, y + 5.0], Anchor::End, &text);
-        }
-        let corners = [
-            [left, top],
-            [right, top],
-            [right, bottom],
-            [left, bottom],
-            [left, top],
-        ];
-        canvas.line(&corners, Color::GREY, 1.0, None);
-        canvas.text([right, bottom + 38.0], Anchor::End, across_label);
-        canvas.text([left, bottom + 38.0], Anchor::Start, upward_label);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -166,9 +117,8 @@ mod tests {
         let chart = Chart {
             title: "Distances".to_owned(),
             panels: vec![ChartPanel {
-                title: "one run".to_owned(),
+                title: "one run: distance [m]".to_owned(),
                 across_label: "time [s]".to_owned(),
-                upward_label: "distance [m]".to_owned(),
                 curves: vec![Curve {
                     name: "drones 1-2".to_owned(),
                     color: Color::BLUE,
@@ -204,7 +154,6 @@ mod tests {
         let panel = ChartPanel {
             title: String::new(),
             across_label: String::new(),
-            upward_label: String::new(),
             curves: Vec::new(),
         };
         let chart = Chart {

@@ -2,8 +2,9 @@
 
 use nalgebra::Vector3;
 
+use super::axes::Axes;
 use super::axis::Range;
-use super::canvas::{Anchor, Canvas, Color, Frame};
+use super::canvas::{Anchor, Canvas, Frame};
 use super::{Layer, Mark, Plot};
 
 const WIDTH_PX: f64 = 1100.0;
@@ -38,25 +39,24 @@ pub fn draw(plot: &Plot, canvas: &mut impl Canvas) -> [f64; 2] {
         TITLE_HEIGHT_PX + plot.layers.len().div_ceil(LEGEND_COLUMNS) as f64 * LEGEND_ROW_PX;
     for (name, axis, label) in [("from above", 1, "y [m]"), ("from the side", 2, "z [m]")] {
         let upward = ranges[axis].widened_to(PANEL_HEIGHT_MIN_PX / px_per_m);
-        let panel = Panel {
-            frame: Frame {
-                left: MARGIN_LEFT_PX,
-                top: top + PANEL_TITLE_PX,
-                width: panel_width,
-                height: upward.span() * px_per_m,
-            },
+        let frame = Frame {
+            left: MARGIN_LEFT_PX,
+            top: top + PANEL_TITLE_PX,
+            width: panel_width,
+            height: upward.span() * px_per_m,
+        };
+        canvas.text([frame.left, frame.top - 8.0], Anchor::Start, name);
+        canvas.text([frame.left - 8.0, frame.top - 8.0], Anchor::End, label);
+        let axes = Axes {
+            frame,
             across,
             upward,
-            upward_axis: axis,
-            px_per_m,
         };
-        let title_at = [panel.frame.left, panel.frame.top - 8.0];
-        canvas.text(title_at, Anchor::Start, name);
-        panel.draw_axes(label, canvas);
+        axes.draw("x [m]", canvas);
         for layer in &plot.layers {
-            panel.draw_layer(layer, canvas);
+            draw_layer(layer, axis, &axes, canvas);
         }
-        top = panel.frame.top + panel.frame.height + AXIS_HEIGHT_PX;
+        top = frame.top + frame.height + AXIS_HEIGHT_PX;
     }
     [WIDTH_PX, top]
 }
@@ -98,83 +98,29 @@ fn draw_legend(layers: &[Layer], canvas: &mut impl Canvas) {
     }
 }
 
-/// One view: its place in the picture and the metres that it shows.
-struct Panel {
-    frame: Frame,
-    across: Range,
-    upward: Range,
-    upward_axis: usize,
-    px_per_m: f64,
-}
-
-impl Panel {
-    fn place(&self, across: f64, upward: f64) -> [f64; 2] {
-        [
-            self.frame.left + (across - self.across.start) * self.px_per_m,
-            self.frame.top + (self.upward.end - upward) * self.px_per_m,
-        ]
-    }
-
-    fn draw_axes(&self, upward_label: &str, canvas: &mut impl Canvas) {
-        let Frame {
-            left,
-            top,
-            width,
-            height,
-        } = self.frame;
-        let (right, bottom) = (left + width, top + height);
-        let (ticks, decimals) = self.across.ticks(width / 110.0);
-        for tick in ticks {
-            let [x, _] = self.place(tick, 0.0);
-            canvas.line(&[[x, top], [x, bottom]], Color::LIGHT, 1.0, None);
-            let text = format!("{:.decimals$}", without_negative_zero(tick));
-            canvas.text([x, bottom + 18.0], Anchor::Middle, &text);
+/// Draws a layer as one view shows it.
+///
+/// - `axis`: which coordinate is upward.
+fn draw_layer(layer: &Layer, axis: usize, axes: &Axes, canvas: &mut impl Canvas) {
+    let place = |point: &Vector3<f64>| axes.place([point.x, point[axis]]);
+    let is_finite = |point: &&Vector3<f64>| point.iter().all(|value| value.is_finite());
+    match layer.mark {
+        Mark::Dots | Mark::LargeDots => {
+            let stride = layer.points.len().div_ceil(DOT_COUNT_MAX).max(1);
+            let dots: Vec<[f64; 2]> = layer
+                .points
+                .iter()
+                .step_by(stride)
+                .filter(is_finite)
+                .map(place)
+                .filter(|dot| axes.frame.contains(*dot))
+                .collect();
+            let diameter_px = if layer.mark == Mark::Dots { 2.0 } else { 4.0 };
+            canvas.dots(&dots, layer.color, diameter_px);
         }
-        let (ticks, decimals) = self.upward.ticks((height / 60.0).max(2.0));
-        for tick in ticks {
-            let [_, y] = self.place(0.0, tick);
-            canvas.line(&[[left, y], [right, y]], Color::LIGHT, 1.0, None);
-            let text = format!("{:.decimals$}", without_negative_zero(tick));
-            canvas.text([left - 8.0, y + 5.0], Anchor::End, &text);
-        }
-        let corners = [
-            [left, top],
-            [right, top],
-            [right, bottom],
-            [left, bottom],
-            [left, top],
-        ];
-        canvas.line(&corners, Color::GREY, 1.0, None);
-        canvas.text([right, bottom + 38.0], Anchor::End, "x [m]");
-        canvas.text([left - 8.0, top - 8.0], Anchor::End, upward_label);
-    }
-
-    fn draw_layer(&self, layer: &Layer, canvas: &mut impl Canvas) {
-        let place = |point: &Vector3<f64>| self.place(point.x, point[self.upward_axis]);
-        let is_finite = |point: &&Vector3<f64>| point.iter().all(|value| value.is_finite());
-        match layer.mark {
-            Mark::Dots | Mark::LargeDots => {
-                let stride = layer.points.len().div_ceil(DOT_COUNT_MAX).max(1);
-                let dots: Vec<[f64; 2]> = layer
-                    .points
-                    .iter()
-                    .step_by(stride)
-                    .filter(is_finite)
-                    .map(place)
-                    .filter(|dot| self.frame.contains(*dot))
-                    .collect();
-                let diameter_px = if layer.mark == Mark::Dots { 2.0 } else { 4.0 };
-                canvas.dots(&dots, layer.color, diameter_px);
-            }
-            Mark::Line => {
-                let line: Vec<[f64; 2]> =
-                    layer.points.iter().filter(is_finite).map(place).collect();
-                canvas.line(&line, layer.color, 1.8, Some(&self.frame));
-            }
+        Mark::Line => {
+            let line: Vec<[f64; 2]> = layer.points.iter().filter(is_finite).map(place).collect();
+            canvas.line(&line, layer.color, 1.8, Some(&axes.frame));
         }
     }
-}
-
-fn without_negative_zero(value: f64) -> f64 {
-    value + 0.0
 }

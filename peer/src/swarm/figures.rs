@@ -77,9 +77,8 @@ pub fn corrections(trace: &Trace, record: &FlightRecord) -> Chart {
         points: thinned(curve).collect(),
     });
     let mut panels = vec![ChartPanel {
-        title: "Distances".to_owned(),
+        title: "Distance [m]".to_owned(),
         across_label: "time [s]".to_owned(),
-        upward_label: "distance [m]".to_owned(),
         curves: distances.collect(),
     }];
     for (axis, name) in ["forward", "left", "up"].into_iter().enumerate() {
@@ -99,9 +98,8 @@ pub fn corrections(trace: &Trace, record: &FlightRecord) -> Chart {
             }
         });
         panels.push(ChartPanel {
-            title: format!("Speed correction, {name}"),
+            title: format!("Speed correction {name} [m/s]"),
             across_label: "time [s]".to_owned(),
-            upward_label: "correction [m/s]".to_owned(),
             curves: curves.collect(),
         });
     }
@@ -134,15 +132,13 @@ pub fn settling(records: &[FlightRecord]) -> Chart {
         title: format!("Settling over {} runs", records.len()),
         panels: vec![
             ChartPanel {
-                title: "Distance less its end, every run".to_owned(),
+                title: "Distance less its end [m], every run".to_owned(),
                 across_label: "time [s]".to_owned(),
-                upward_label: "difference [m]".to_owned(),
                 curves: curves.collect(),
             },
             ChartPanel {
-                title: "Sample mean and variance".to_owned(),
+                title: "Sample mean [m] and variance [m squared]".to_owned(),
                 across_label: "time [s]".to_owned(),
-                upward_label: "[m], [m squared]".to_owned(),
                 curves: vec![
                     moment("mean", Color::BLUE, mean),
                     moment("variance", Color::RED, variance),
@@ -200,36 +196,34 @@ pub fn following(setpoint: LateralSetpoint, seed: u64) -> Chart {
     };
     let moments = follow(&settings, follower, seed);
     let end_s = settings.duration_s;
-    let panel =
-        |title: &str, label: &str, commanded_px: f64, value: fn(&FollowingMoment) -> [f64; 2]| {
-            let curve = |name: &str, color, width_px, points| Curve {
-                name: name.to_owned(),
-                color,
-                width_px,
-                points,
-            };
-            let part = |idx: usize| {
-                moments
-                    .iter()
-                    .map(|moment| [moment.time_s, value(moment)[idx]])
-                    .collect()
-            };
-            ChartPanel {
-                title: title.to_owned(),
-                across_label: "time [s]".to_owned(),
-                upward_label: label.to_owned(),
-                curves: vec![
-                    curve("measured", Color([150, 180, 230]), 1.0, part(0)),
-                    curve("smoothed", Color::BLUE, 2.0, part(1)),
-                    curve(
-                        "commanded",
-                        Color::RED,
-                        1.5,
-                        vec![[0.0, commanded_px], [end_s, commanded_px]],
-                    ),
-                ],
-            }
+    let panel = |title: &str, commanded_px: f64, value: fn(&FollowingMoment) -> [f64; 2]| {
+        let curve = |name: &str, color, width_px, points| Curve {
+            name: name.to_owned(),
+            color,
+            width_px,
+            points,
         };
+        let part = |idx: usize| {
+            moments
+                .iter()
+                .map(|moment| [moment.time_s, value(moment)[idx]])
+                .collect()
+        };
+        ChartPanel {
+            title: title.to_owned(),
+            across_label: "time [s]".to_owned(),
+            curves: vec![
+                curve("measured", Color([150, 180, 230]), 1.0, part(0)),
+                curve("smoothed", Color::BLUE, 2.0, part(1)),
+                curve(
+                    "commanded",
+                    Color::RED,
+                    1.5,
+                    vec![[0.0, commanded_px], [end_s, commanded_px]],
+                ),
+            ],
+        }
+    };
     let separation = |moment: &FollowingMoment| {
         [moment.measured, moment.smoothed]
             .map(|lights| lights.map_or(f64::NAN, |lights| lights.separation_px))
@@ -242,14 +236,12 @@ pub fn following(setpoint: LateralSetpoint, seed: u64) -> Chart {
         title: "Following another drone by its two lights".to_owned(),
         panels: vec![
             panel(
-                "Separation of the lights",
-                "separation [px]",
+                "Separation of the lights [px]",
                 follower.separation_px,
                 separation,
             ),
             panel(
-                "Middle of the lights",
-                "from the left border [px]",
+                "Middle of the lights, from the left border [px]",
                 follower.lateral_px,
                 lateral,
             ),
