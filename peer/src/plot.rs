@@ -27,6 +27,7 @@ pub use chart::{Chart, ChartPanel, Curve};
 /// One cloud or trajectory of a picture.
 #[derive(Clone, Debug)]
 pub struct Layer {
+    /// Stands in the legend, unless it is empty.
     pub name: String,
     pub color: Color,
     pub mark: Mark,

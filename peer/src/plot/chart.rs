@@ -4,6 +4,7 @@ use super::Picture;
 use super::axes::Axes;
 use super::axis::Range;
 use super::canvas::{Anchor, Canvas, Color, Frame};
+use super::font;
 
 /// A picture of panels that share nothing but their width.
 #[derive(Clone, Debug)]
@@ -39,7 +40,9 @@ const TITLE_HEIGHT_PX: f64 = 44.0;
 const PANEL_TITLE_PX: f64 = 30.0;
 const PANEL_HEIGHT_PX: f64 = 300.0;
 const AXIS_HEIGHT_PX: f64 = 60.0;
-const LEGEND_ENTRY_PX: f64 = 150.0;
+/// Before a name of the legend, for the sample of its line, and after it.
+const LEGEND_SAMPLE_PX: f64 = 32.0;
+const LEGEND_GAP_PX: f64 = 16.0;
 const PADDING_SHARE: f64 = 0.04;
 
 impl Picture for Chart {
@@ -83,16 +86,14 @@ impl ChartPanel {
     /// From the right border leftward, on the line of the title.
     fn draw_legend(&self, frame: &Frame, canvas: &mut impl Canvas) {
         let mut left = frame.left + frame.width;
-        for curve in self
-            .curves
-            .iter()
-            .rev()
-            .filter(|curve| !curve.name.is_empty())
-        {
-            left -= LEGEND_ENTRY_PX;
-            let y = frame.top - 14.0;
+        let y = frame.top - 14.0;
+        let is_named = |curve: &&Curve| !curve.name.is_empty();
+        for curve in self.curves.iter().rev().filter(is_named) {
+            left -= LEGEND_SAMPLE_PX + font::width_px(&curve.name);
             canvas.line(&[[left, y], [left + 24.0, y]], curve.color, 2.5, None);
-            canvas.text([left + 32.0, y + 5.0], Anchor::Start, &curve.name);
+            let text_at = [left + LEGEND_SAMPLE_PX, y + 5.0];
+            canvas.text(text_at, Anchor::Start, &curve.name);
+            left -= LEGEND_GAP_PX;
         }
     }
 
@@ -147,6 +148,35 @@ mod tests {
         // Two pieces and the sample in the legend.
         assert_eq!(svg.matches("#2c68cc").count(), 3);
         assert!(chart.to_png().starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn names_of_a_legend_do_not_lie_over_each_other() {
+        let names = ["short", "a name that is rather long", "other"];
+        let curve = |name: &str| Curve {
+            name: name.to_owned(),
+            color: Color::BLUE,
+            width_px: 1.5,
+            points: vec![[0.0, 1.0], [1.0, 2.0]],
+        };
+        let chart = Chart {
+            title: String::new(),
+            panels: vec![ChartPanel {
+                title: String::new(),
+                across_label: String::new(),
+                curves: names.map(curve).into(),
+            }],
+        };
+        let svg = chart.to_svg();
+        let left_px = |name: &str| -> f64 {
+            let text = svg.lines().find(|line| line.contains(name)).unwrap();
+            text.split('"').nth(1).unwrap().parse().unwrap()
+        };
+        for pair in names.windows(2) {
+            let end_px = left_px(pair[0]) + font::width_px(pair[0]);
+            assert!(end_px < left_px(pair[1]), "{pair:?}");
+        }
+        assert!(left_px("other") + font::width_px("other") < WIDTH_PX);
     }
 
     #[test]

@@ -34,9 +34,7 @@ pub fn draw(plot: &Plot, canvas: &mut impl Canvas) -> [f64; 2] {
     let across = ranges[0].widened_to(panel_width / px_per_m);
 
     canvas.text([MARGIN_LEFT_PX, 26.0], Anchor::Start, &plot.title);
-    draw_legend(&plot.layers, canvas);
-    let mut top =
-        TITLE_HEIGHT_PX + plot.layers.len().div_ceil(LEGEND_COLUMNS) as f64 * LEGEND_ROW_PX;
+    let mut top = TITLE_HEIGHT_PX + draw_legend(&plot.layers, canvas);
     for (name, axis, label) in [("from above", 1, "y [m]"), ("from the side", 2, "z [m]")] {
         let upward = ranges[axis].widened_to(PANEL_HEIGHT_MIN_PX / px_per_m);
         let frame = Frame {
@@ -82,9 +80,14 @@ fn range_of(layers: &[Layer], axis: usize) -> Range {
         .widened_to(1e-3)
 }
 
-fn draw_legend(layers: &[Layer], canvas: &mut impl Canvas) {
+/// Names what has a name, row by row, and gives the height of the rows.
+fn draw_legend(layers: &[Layer], canvas: &mut impl Canvas) -> f64 {
     let column_width = (WIDTH_PX - MARGIN_LEFT_PX) / LEGEND_COLUMNS as f64;
-    for (layer_idx, layer) in layers.iter().enumerate() {
+    let named: Vec<&Layer> = layers
+        .iter()
+        .filter(|layer| !layer.name.is_empty())
+        .collect();
+    for (layer_idx, layer) in named.iter().enumerate() {
         let left = MARGIN_LEFT_PX + (layer_idx % LEGEND_COLUMNS) as f64 * column_width;
         let y = TITLE_HEIGHT_PX + 12.0 + (layer_idx / LEGEND_COLUMNS) as f64 * LEGEND_ROW_PX;
         match layer.mark {
@@ -96,6 +99,7 @@ fn draw_legend(layers: &[Layer], canvas: &mut impl Canvas) {
         }
         canvas.text([left + 32.0, y + 5.0], Anchor::Start, &layer.name);
     }
+    named.len().div_ceil(LEGEND_COLUMNS) as f64 * LEGEND_ROW_PX
 }
 
 /// Draws a layer as one view shows it.

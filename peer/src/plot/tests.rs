@@ -63,6 +63,21 @@ fn svg_shows_metres_names_and_no_outlier() {
 }
 
 #[test]
+fn layers_without_a_name_take_no_room_in_the_legend() {
+    let mut plot = room();
+    let named = plot.to_svg();
+    let unnamed = Layer {
+        name: String::new(),
+        ..plot.layers[1].clone()
+    };
+    plot.layers.extend(vec![unnamed; 30]);
+    let size = |svg: &str| svg.split('>').next().unwrap().to_owned();
+    assert_eq!(size(&plot.to_svg()), size(&named));
+    // Two views and a sample of its line, and two views of each of the others.
+    assert_eq!(plot.to_svg().matches("#873caa").count(), 3 + 60);
+}
+
+#[test]
 fn png_decodes_and_has_the_colours_of_its_layers() {
     let bytes = room().to_png();
     let mut reader = png::Decoder::new(std::io::Cursor::new(&bytes))
