@@ -10,6 +10,7 @@
 mod bounded;
 mod follower;
 pub mod gabriel_rule;
+mod guarded_follower;
 mod keeper;
 pub mod markers;
 pub mod paper_rule;
@@ -25,6 +26,7 @@ pub use follower::{
     FeedForward, Follower, FollowerCommand, FollowerSettings, LightPair, PlanarVelocity,
 };
 pub use gabriel_rule::GabrielSettings;
+pub use guarded_follower::{GuardedCommand, GuardedFollower, GuardedFollowerSettings};
 pub use keeper::{Command, HeadingRule, Keeper, KeeperSettings, Perception};
 pub use paper_rule::{PaperRule, PaperRuleSettings, Placed};
 pub use safety::{Obstacle, SafetySettings};

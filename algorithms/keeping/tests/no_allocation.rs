@@ -5,14 +5,14 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use camera::Image;
-use geometry::Timestamp;
+use camera::{CameraModel, Distortion, Image, Intrinsics};
+use geometry::{Timestamp, Transform};
 use keeping::markers::{
     CameraMarkers, FinderSettings, PaperPipeline, PaperPipelineSettings, TrackerSettings,
 };
 use keeping::{
-    FieldOfView, Keeper, KeeperSettings, Obstacle, PaperRule, PaperRuleSettings, Perception,
-    Placed, Range, Sighting,
+    FieldOfView, GuardedFollower, GuardedFollowerSettings, Keeper, KeeperSettings, MarkerModel,
+    Obstacle, PaperRule, PaperRuleSettings, Perception, Placed, Range, Sighting,
 };
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -110,12 +110,22 @@ fn no_image_costs_an_allocation() {
     let finder = FinderSettings::default();
     let mut camera = CameraMarkers::new(finder, TrackerSettings::default(), 324);
     let mut paper = PaperPipeline::new(PaperPipelineSettings::default());
+    let intrinsics = Intrinsics {
+        fx: 180.9,
+        fy: 180.94,
+        cx: 159.23,
+        cy: 155.72,
+    };
+    let model = CameraModel::new(324, 244, intrinsics, Distortion::None).unwrap();
+    let settings = GuardedFollowerSettings::calibrated(&model, MarkerModel::default());
+    let mut follower = GuardedFollower::new(settings, model, Transform::identity());
     let before = ALLOCATION_COUNT.get();
     let mut pair_count = 0;
     for (idx, image) in images.iter().cycle().take(3 * images.len()).enumerate() {
         let captured_at = Timestamp::from_nanoseconds(50_000_000 * idx as i64);
         pair_count += camera.see(image, captured_at, None).0.pairs.len();
         pair_count += usize::from(paper.find(image, captured_at).is_some());
+        follower.step(camera.tracks(), 0.05);
     }
     let after = ALLOCATION_COUNT.get();
     assert!(pair_count > 100, "{pair_count}");

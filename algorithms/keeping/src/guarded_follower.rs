@@ -1,0 +1,223 @@
+//! The follower of the paper's flight test behind the safety filter: marker tracks of one camera
+//! in, a velocity out.
+
+use camera::CameraModel;
+use geometry::{Body, Camera, Transform};
+use nalgebra::{Vector2, Vector3};
+
+use crate::follower::{FeedForward, Follower, FollowerSettings, LightPair, PlanarVelocity};
+use crate::markers::{MarkerTrack, TrackId, TrackState};
+use crate::safety::{self, Flight, Limit, Limits, SafetySettings};
+use crate::sighting::{MarkerModel, Separation, Sighting};
+use crate::tracks::{TrackSettings, Tracks};
+
+/// Where the vehicle holds its place, and what keeps it from coming too near.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GuardedFollowerSettings {
+    pub follower: FollowerSettings,
+    pub marker: MarkerModel,
+    pub tracks: TrackSettings,
+    pub safety: SafetySettings,
+    /// Time constant with which the vehicle takes up a commanded velocity. With a wrong one the
+    /// other's speed is found later.
+    pub lag_s: f64,
+    /// It does not see what is behind it.
+    pub backward_mps_max: f64,
+}
+
+impl GuardedFollowerSettings {
+    /// Behind a neighbour in the middle of the camera's picture, with feed-forward.
+    pub fn calibrated(camera: &CameraModel, marker: MarkerModel) -> Self {
+        let intrinsics = camera.intrinsics();
+        let feed_forward = FeedForward {
+            range_times_separation_m_px: intrinsics.fy * marker.length_m,
+            focal_px: intrinsics.fx,
+            smoothing_s: 0.5,
+        };
+        Self {
+            follower: FollowerSettings {
+                feed_forward: Some(feed_forward),
+                ..FollowerSettings::calibrated(intrinsics.cx)
+            },
+            marker,
+            tracks: TrackSettings::default(),
+            safety: SafetySettings::default(),
+            lag_s: 0.3,
+            backward_mps_max: 0.2,
+        }
+    }
+
+    /// How far behind the other the place is.
+    pub fn place_m(&self, camera: &CameraModel) -> f64 {
+        camera.intrinsics().fy * self.marker.length_m / self.follower.separation_px
+    }
+}
+
+/// What is commanded, and what it comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GuardedCommand {
+    /// Heading frame: forward, left, up. The height is left to the autopilot.
+    pub velocity: Vector3<f64>,
+    /// The lights that are followed, where this image shows them.
+    pub seen: Option<LightPair>,
+    /// What the filter took from the velocity that the controllers wanted.
+    pub withheld_mps: f64,
+}
+
+/// Holds a vehicle's place behind another one. It allocates nothing.
+#[derive(Clone, Debug)]
+pub struct GuardedFollower {
+    settings: GuardedFollowerSettings,
+    camera: CameraModel,
+    body_from_camera: Transform<Body, Camera>,
+    follower: Follower,
+    tracks: Tracks,
+    limits: Limits,
+    followed: Option<TrackId>,
+    /// As far as the autopilot has taken up what was commanded.
+    own: Vector3<f64>,
+    commanded: Vector3<f64>,
+}
+
+/// More neighbours than this are not in one picture.
+const SIGHTING_COUNT_MAX: usize = 16;
+/// Who is steeper above or below is not kept clear of by level motion.
+const LEVEL_SHARE_MIN: f64 = 0.1;
+
+impl GuardedFollower {
+    /// - `body_from_camera`: how the camera is mounted; the body is taken to be level.
+    pub fn new(
+        settings: GuardedFollowerSettings,
+        camera: CameraModel,
+        body_from_camera: Transform<Body, Camera>,
+    ) -> Self {
+        Self {
+            settings,
+            camera,
+            body_from_camera,
+            follower: Follower::new(settings.follower),
+            tracks: Tracks::new(settings.tracks),
+            limits: Limits::default(),
+            followed: None,
+            own: Vector3::zeros(),
+            commanded: Vector3::zeros(),
+        }
+    }
+
+    /// What to fly after an image.
+    ///
+    /// - `tracks`: the camera's marker tracks as of this image.
+    /// - `step_s`: since the image before.
+    pub fn step(&mut self, tracks: &[MarkerTrack], step_s: f64) -> GuardedCommand {
+        let taken_up = 1.0 - (-step_s / self.settings.lag_s).exp();
+        self.own += (self.commanded - self.own) * taken_up;
+        let seen = self.choose(tracks).map(|track| LightPair {
+            separation_px: track.separation_px,
+            lateral_px: track.u_px,
+        });
+        let own = PlanarVelocity {
+            forward_mps: self.own.x,
+            left_mps: self.own.y,
+        };
+        let wanted = self.follower.step(seen, own, step_s).velocity;
+        let forward_mps = wanted.forward_mps.max(-self.settings.backward_mps_max);
+        let wanted = Vector3::new(forward_mps, wanted.left_mps, 0.0);
+        self.collect_limits(tracks, step_s);
+        let velocity = self.capped(safety::limit(&wanted, &self.limits));
+        self.commanded = velocity;
+        GuardedCommand {
+            velocity,
+            seen,
+            withheld_mps: (wanted - velocity).norm(),
+        }
+    }
+
+    /// The one that was followed, else the nearest; `None` where neither is in this image.
+    fn choose<'a>(&mut self, tracks: &'a [MarkerTrack]) -> Option<&'a MarkerTrack> {
+        let is_known = |track: &&MarkerTrack| track.is_confirmed() && !track.merged;
+        let followed = self.followed;
+        let chosen = tracks
+            .iter()
+            .filter(is_known)
+            .find(|track| Some(track.id) == followed)
+            .or_else(|| {
+                let known = tracks.iter().filter(is_known);
+                known.max_by(|a, b| a.separation_px.total_cmp(&b.separation_px))
+            })?;
+        self.followed = Some(chosen.id);
+        (chosen.state == TrackState::Track).then_some(chosen)
+    }
+
+    /// Everybody in sight is kept clear of, followed or not.
+    fn collect_limits(&mut self, tracks: &[MarkerTrack], step_s: f64) {
+        let mut sightings = [Sighting::default(); SIGHTING_COUNT_MAX];
+        let mut count = 0;
+        let shown = tracks
+            .iter()
+            .filter(|track| track.state == TrackState::Track);
+        for sighting in shown.filter_map(|track| self.sighting(track)) {
+            if let Some(place) = sightings.get_mut(count) {
+                *place = sighting;
+                count += 1;
+            }
+        }
+        // The heading is held, so that it is level axes too.
+        self.tracks.update(&sightings[..count], 0.0, step_s);
+        self.limits.clear();
+        let flight = Flight {
+            nominal: Vector3::zeros(),
+            velocity: self.own,
+        };
+        for track in self.tracks.tracks() {
+            let safety = &self.settings.safety;
+            let limit = safety.neighbour_limit(track.direction_in_level, track, &flight);
+            if let Some(limit) = limit.as_ref().and_then(level) {
+                // Room for all tracks is reserved.
+                let _ = self.limits.push(limit);
+            }
+        }
+    }
+
+    fn sighting(&self, track: &MarkerTrack) -> Option<Sighting> {
+        let half_px = 0.5 * track.separation_px;
+        let ray = |v_px: f64| self.camera.unproject(&Vector2::new(track.u_px, v_px));
+        let [above, middle, below] = [
+            ray(track.v_px - half_px)?,
+            ray(track.v_px)?,
+            ray(track.v_px + half_px)?,
+        ];
+        let direction = self.body_from_camera.rotation() * middle;
+        let separation = Separation::Resolved {
+            angle_rad: above.angle(&below),
+            sigma_rad: track.sigma_separation_px / self.camera.intrinsics().fy,
+        };
+        Some(Sighting {
+            direction,
+            range: self.settings.marker.range(&direction, separation),
+        })
+    }
+
+    fn capped(&self, velocity: Vector3<f64>) -> Vector3<f64> {
+        let speed_mps_max = self.settings.follower.speed_mps_max;
+        Vector3::new(
+            velocity
+                .x
+                .clamp(-self.settings.backward_mps_max, speed_mps_max),
+            velocity.y.clamp(-speed_mps_max, speed_mps_max),
+            0.0,
+        )
+    }
+}
+
+/// The limit as level motion keeps it; `None` if that cannot.
+fn level(limit: &Limit) -> Option<Limit> {
+    let level = Vector3::new(limit.direction.x, limit.direction.y, 0.0);
+    let share = level.norm();
+    (share >= LEVEL_SHARE_MIN).then(|| Limit {
+        direction: level / share,
+        speed_mps_max: limit.speed_mps_max / share,
+    })
+}
+
+#[cfg(test)]
+mod tests;

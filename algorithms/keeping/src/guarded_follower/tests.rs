@@ -1,0 +1,175 @@
+//! Flights behind another vehicle, on the pixels of an ideal camera.
+
+use camera::{Distortion, Intrinsics};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
+
+use super::*;
+
+const STEP_S: f64 = 0.1;
+const LIGHTS_M: f64 = 0.1;
+
+fn camera() -> CameraModel {
+    let intrinsics = Intrinsics {
+        fx: 180.9,
+        fy: 180.94,
+        cx: 159.23,
+        cy: 122.0,
+    };
+    CameraModel::new(324, 244, intrinsics, Distortion::None).unwrap()
+}
+
+fn looking_ahead() -> Transform<Body, Camera> {
+    let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    Transform::new(rotation, Vector3::zeros())
+}
+
+/// The track of a vehicle at this place in the heading frame; `None` outside the picture.
+fn track_at(place: &Vector3<f64>, id: u32) -> Option<MarkerTrack> {
+    let camera = camera();
+    let from_body = looking_ahead().inverse();
+    let half = Vector3::z() * (0.5 * LIGHTS_M);
+    let pixel = camera.project(&(from_body * *place))?;
+    let [above, below] =
+        [place + half, place - half].map(|light| camera.project(&(from_body * light)));
+    camera.contains(&pixel, 0.0).then_some(MarkerTrack {
+        id: TrackId(id),
+        state: TrackState::Track,
+        age_s: 0.0,
+        u_px: pixel.x,
+        v_px: pixel.y,
+        separation_px: (above? - below?).norm(),
+        sigma_separation_px: 0.1,
+        rate_per_s: 0.0,
+        merged: false,
+    })
+}
+
+fn settings() -> GuardedFollowerSettings {
+    let marker = MarkerModel {
+        length_m: LIGHTS_M,
+        ..MarkerModel::default()
+    };
+    GuardedFollowerSettings::calibrated(&camera(), marker)
+}
+
+/// Where the other is from the follower, image by image, with one image of latency and 0.3 s of
+/// lag.
+fn places(
+    settings: GuardedFollowerSettings,
+    start: Vector3<f64>,
+    leader_velocity: impl Fn(f64) -> Vector3<f64>,
+    duration_s: f64,
+) -> Vec<Vector3<f64>> {
+    let mut follower = GuardedFollower::new(settings, camera(), looking_ahead());
+    let (mut place, mut velocity, mut command) = (start, Vector3::zeros(), Vector3::zeros());
+    let mut places = Vec::new();
+    for idx in 0..(duration_s / STEP_S) as usize {
+        let late = std::mem::replace(
+            &mut command,
+            follower
+                .step(track_at(&place, 1).as_slice(), STEP_S)
+                .velocity,
+        );
+        velocity += (late - velocity) * (1.0 - (-STEP_S / 0.3_f64).exp());
+        place += (leader_velocity(idx as f64 * STEP_S) - velocity) * STEP_S;
+        places.push(place);
+    }
+    places
+}
+
+#[test]
+fn a_place_behind_a_leader_that_flies_to_and_fro_is_held() {
+    let settings = settings();
+    let place_m = settings.place_m(&camera());
+    assert!((place_m - 1.8094).abs() < 1e-3, "{place_m}");
+    let leader = |time_s: f64| {
+        let to_and_fro_mps = 0.4 * (std::f64::consts::TAU * time_s / 20.0).sin();
+        Vector3::new(
+            0.06 * (std::f64::consts::TAU * time_s / 9.0).sin(),
+            to_and_fro_mps,
+            0.0,
+        )
+    };
+    for place in places(settings, Vector3::new(2.0, -0.1, 0.05), leader, 60.0)
+        .iter()
+        .skip(50)
+    {
+        let range_m = place.norm();
+        assert!((range_m / place_m - 1.0).abs() < 0.1, "{place:?}");
+        assert!(place.y.abs() < 0.4, "{place:?}");
+    }
+}
+
+/// Goal: whatever separation is commanded, nobody comes nearer than the filter allows. Method:
+/// a place at half a metre.
+#[test]
+fn a_place_that_is_too_near_is_not_taken() {
+    let mut settings = settings();
+    settings.follower.separation_px = 36.0;
+    let places = places(
+        settings,
+        Vector3::new(3.0, 0.2, 0.0),
+        |_| Vector3::zeros(),
+        30.0,
+    );
+    let nearest_m = places
+        .iter()
+        .map(Vector3::norm)
+        .fold(f64::INFINITY, f64::min);
+    let distance_m_min = settings.safety.distance_m_min;
+    assert!(nearest_m > 0.97 * distance_m_min, "{nearest_m}");
+    let last_m = places.last().unwrap().norm();
+    assert!(last_m < distance_m_min + 0.3, "{last_m}");
+}
+
+#[test]
+fn who_comes_near_is_backed_away_from_slowly() {
+    let settings = settings();
+    let near = track_at(&Vector3::new(0.6, 0.0, 0.0), 1);
+    let mut follower = GuardedFollower::new(settings, camera(), looking_ahead());
+    for _ in 0..5 {
+        let velocity = follower.step(near.as_slice(), STEP_S).velocity;
+        assert!((velocity.x + settings.backward_mps_max).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn a_third_vehicle_on_the_way_is_kept_clear_of_and_not_followed() {
+    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let leader = track_at(&Vector3::new(3.0, 0.0, 0.0), 1).unwrap();
+    let free = follower.step(&[leader], STEP_S).velocity;
+    assert!(free.x > 0.3, "{free:?}");
+    let third = track_at(&Vector3::new(0.9, 0.1, 0.0), 2).unwrap();
+    for _ in 0..10 {
+        let command = follower.step(&[third, leader], STEP_S);
+        assert_eq!(command.seen.unwrap().separation_px, leader.separation_px);
+        assert!(command.velocity.x < 0.1, "{command:?}");
+    }
+}
+
+#[test]
+fn lost_lights_let_the_command_decay() {
+    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let far = track_at(&Vector3::new(3.0, 0.8, 0.0), 1);
+    assert!(follower.step(far.as_slice(), STEP_S).velocity.norm() > 0.3);
+    for _ in 0..20 {
+        follower.step(&[], STEP_S);
+    }
+    let command = follower.step(&[], STEP_S);
+    assert_eq!(command.seen, None);
+    assert!(command.velocity.norm() < 0.01, "{command:?}");
+}
+
+#[test]
+fn a_track_of_a_few_images_ago_is_held_and_not_measured_again() {
+    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let mut track = track_at(&Vector3::new(2.5, 0.0, 0.0), 1).unwrap();
+    let first = follower.step(&[track], STEP_S);
+    track.state = TrackState::Coast;
+    let held = follower.step(&[track], STEP_S);
+    assert_eq!(held.seen, None);
+    assert_eq!(held.velocity, first.velocity);
+    track.state = TrackState::Acquire;
+    assert_eq!(follower.step(&[track], STEP_S).seen, None);
+}
