@@ -12,8 +12,10 @@
 //!
 //! The vehicle connects and says [`Message::Hello`]; the simulator answers with the same.
 //! Then come fixes and frames in the order of their time stamps. The vehicle acknowledges each
-//! frame once its pose is published, and the next frame waits for that. [`Message::End`] closes
-//! the route. No pose, no depth and no identity is on this wire.
+//! frame once its pose is published, and the next frame waits for that. A vehicle that commands
+//! its own flight says [`Message::Velocity`] whenever it wants, and what it wants because of a
+//! frame before it acknowledges that frame. [`Message::End`] closes the route. No pose, no depth
+//! and no identity is on this wire.
 
 use std::io::{self, Read, Write};
 
@@ -30,6 +32,8 @@ const FORMAT_NONE: u8 = 0;
 const FORMAT_GREY8: u8 = 1;
 /// Position, then the upper triangle of the covariance by rows, each as an f64.
 const FIX_BYTES: usize = 9 * 8;
+/// Forward, left and up, each as an f64.
+const VELOCITY_BYTES: usize = 3 * 8;
 const SIDE_PX_MAX: u32 = 4096;
 
 /// What travels between simulator and vehicle.
@@ -45,6 +49,8 @@ pub enum Message {
     },
     /// Nothing follows.
     End,
+    /// From a vehicle whose flight is commanded: so it wants to fly from now on.
+    Velocity(VelocityCommand),
 }
 
 /// A grey image, stamped at the middle of its exposure.
@@ -60,6 +66,16 @@ pub struct Fix {
     pub captured_at: Timestamp,
     pub position_in_site: Vector3<f64>,
     pub covariance_in_site: Matrix3<f64>,
+}
+
+/// A velocity that a vehicle wants its autopilot to fly.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VelocityCommand {
+    /// The vehicle's clock when it was commanded.
+    pub captured_at: Timestamp,
+    /// m/s along the heading frame's axes: x horizontally along the vehicle's heading, y to the
+    /// left, z up.
+    pub velocity_in_heading: Vector3<f64>,
 }
 
 /// Bytes that are not a message.
@@ -78,7 +94,7 @@ pub enum Malformed {
     #[error("payload of {got} bytes, expected {expected}")]
     PayloadSize { got: usize, expected: usize },
     /// The one of these after which the next message can be read: its length was right.
-    #[error("a fix holds a number that is not finite")]
+    #[error("a fix or a velocity holds a number that is not finite")]
     NotFinite,
 }
 
@@ -94,13 +110,18 @@ pub enum ReadError {
 /// Appends the bytes of `message` to `bytes`.
 pub fn encode(message: &Message, bytes: &mut Vec<u8>) {
     match message {
-        Message::Hello => encode_header(Kind::Hello, Timestamp::default(), bytes),
-        Message::End => encode_header(Kind::End, Timestamp::default(), bytes),
+        Message::Hello => encode_header(Kind::Hello, Timestamp::default(), 0, bytes),
+        Message::End => encode_header(Kind::End, Timestamp::default(), 0, bytes),
         Message::Acknowledgement { captured_at } => {
-            encode_header(Kind::Acknowledgement, *captured_at, bytes);
+            encode_header(Kind::Acknowledgement, *captured_at, 0, bytes);
         }
         Message::Frame(frame) => encode_frame(frame.captured_at, &frame.image, bytes),
         Message::Fix(fix) => encode_fix(fix, bytes),
+        Message::Velocity(command) => {
+            let velocity = &command.velocity_in_heading;
+            encode_header(Kind::Velocity, command.captured_at, VELOCITY_BYTES, bytes);
+            encode_numbers(velocity.as_slice(), bytes);
+        }
     }
 }
 
@@ -157,6 +178,7 @@ enum Kind {
     Fix = 3,
     Acknowledgement = 4,
     End = 5,
+    Velocity = 6,
 }
 
 impl Kind {
@@ -167,6 +189,7 @@ impl Kind {
             Self::Fix,
             Self::Acknowledgement,
             Self::End,
+            Self::Velocity,
         ]
         .into_iter()
         .find(|kind| *kind as u8 == byte)
@@ -234,6 +257,7 @@ impl Header {
         let expected = match self.kind {
             Kind::Frame => width as usize * height as usize,
             Kind::Fix => FIX_BYTES,
+            Kind::Velocity => VELOCITY_BYTES,
             Kind::Hello | Kind::Acknowledgement | Kind::End => 0,
         };
         if self.payload_bytes != expected {
@@ -252,6 +276,7 @@ impl Header {
             Kind::End => Message::End,
             Kind::Acknowledgement => Message::Acknowledgement { captured_at },
             Kind::Fix => Message::Fix(decode_fix(captured_at, &payload)?),
+            Kind::Velocity => Message::Velocity(decode_velocity(captured_at, &payload)?),
             Kind::Frame => {
                 let image = Image::from_pixels(self.width as usize, self.height as usize, payload)
                     .expect("the byte count was checked against the size");
@@ -261,46 +286,54 @@ impl Header {
     }
 }
 
-fn encode_header(kind: Kind, captured_at: Timestamp, bytes: &mut Vec<u8>) {
+fn encode_header(kind: Kind, captured_at: Timestamp, payload_bytes: usize, bytes: &mut Vec<u8>) {
     let header = Header {
         kind,
         format: FORMAT_NONE,
         captured_at,
         width: 0,
         height: 0,
-        payload_bytes: 0,
+        payload_bytes,
     };
     header.encode(bytes);
 }
 
 fn encode_fix(fix: &Fix, bytes: &mut Vec<u8>) {
-    let header = Header {
-        kind: Kind::Fix,
-        format: FORMAT_NONE,
-        captured_at: fix.captured_at,
-        width: 0,
-        height: 0,
-        payload_bytes: FIX_BYTES,
-    };
-    header.encode(bytes);
+    encode_header(Kind::Fix, fix.captured_at, FIX_BYTES, bytes);
     let (p, c) = (&fix.position_in_site, &fix.covariance_in_site);
     let numbers = [p.x, p.y, p.z, c.m11, c.m12, c.m13, c.m22, c.m23, c.m33];
+    encode_numbers(&numbers, bytes);
+}
+
+fn encode_numbers(numbers: &[f64], bytes: &mut Vec<u8>) {
     for number in numbers {
         bytes.extend_from_slice(&number.to_le_bytes());
     }
 }
 
 fn decode_fix(captured_at: Timestamp, payload: &[u8]) -> Result<Fix, Malformed> {
-    let number = |idx: usize| f64::from_le_bytes(array_at(payload, 8 * idx));
-    let [x, y, z, m11, m12, m13, m22, m23, m33] = std::array::from_fn(number);
-    if (0..9).any(|idx| !number(idx).is_finite()) {
-        return Err(Malformed::NotFinite);
-    }
+    let [x, y, z, m11, m12, m13, m22, m23, m33] = decode_numbers(payload)?;
     Ok(Fix {
         captured_at,
         position_in_site: Vector3::new(x, y, z),
         covariance_in_site: Matrix3::new(m11, m12, m13, m12, m22, m23, m13, m23, m33),
     })
+}
+
+fn decode_velocity(captured_at: Timestamp, payload: &[u8]) -> Result<VelocityCommand, Malformed> {
+    Ok(VelocityCommand {
+        captured_at,
+        velocity_in_heading: Vector3::from(decode_numbers(payload)?),
+    })
+}
+
+fn decode_numbers<const COUNT: usize>(payload: &[u8]) -> Result<[f64; COUNT], Malformed> {
+    let numbers = std::array::from_fn(|idx| f64::from_le_bytes(array_at(payload, 8 * idx)));
+    if numbers.iter().all(|number: &f64| number.is_finite()) {
+        Ok(numbers)
+    } else {
+        Err(Malformed::NotFinite)
+    }
 }
 
 fn array_at<const COUNT: usize>(bytes: &[u8], start: usize) -> [u8; COUNT] {

@@ -17,12 +17,20 @@ fn frame() -> Frame {
     }
 }
 
+fn velocity() -> VelocityCommand {
+    VelocityCommand {
+        captured_at: Timestamp::from_nanoseconds(10_100_000_000),
+        velocity_in_heading: Vector3::new(0.25, -0.5, 0.125),
+    }
+}
+
 fn all_messages() -> Vec<Message> {
     let captured_at = Timestamp::from_nanoseconds(i64::MAX);
     vec![
         Message::Hello,
         Message::Fix(fix()),
         Message::Frame(frame()),
+        Message::Velocity(velocity()),
         Message::Acknowledgement { captured_at },
         Message::End,
     ]
@@ -59,6 +67,18 @@ fn a_fix_has_these_bytes() {
     assert_eq!(&bytes[24..28], &72_u32.to_le_bytes());
     assert_eq!(&bytes[28..36], &1.5_f64.to_le_bytes());
     assert_eq!(bytes.len(), HEADER_BYTES + 72);
+}
+
+#[test]
+fn a_velocity_has_these_bytes() {
+    let mut expected = b"SLS1\x06\x00\x00\x00".to_vec();
+    expected.extend(10_100_000_000_i64.to_le_bytes());
+    expected.extend([0; 8]);
+    expected.extend(24_u32.to_le_bytes());
+    for number in [0.25_f64, -0.5, 0.125] {
+        expected.extend(number.to_le_bytes());
+    }
+    assert_eq!(encoded(&Message::Velocity(velocity())), expected);
 }
 
 #[test]
@@ -106,6 +126,20 @@ fn refuses_headers_that_lie() {
     check(&frame, 24, &u32::MAX.to_le_bytes(), long);
     let nan = f64::NAN.to_le_bytes();
     check(&Message::Fix(fix()), 36, &nan, Malformed::NotFinite);
+    let velocity = Message::Velocity(velocity());
+    check(&velocity, 44, &nan, Malformed::NotFinite);
+    let infinite = f64::INFINITY.to_le_bytes();
+    check(&velocity, 28, &infinite, Malformed::NotFinite);
+    let format = Malformed::Format {
+        got: 1,
+        expected: 0,
+    };
+    check(&velocity, 5, &[1], format);
+    let short = Malformed::PayloadSize {
+        got: 23,
+        expected: 24,
+    };
+    check(&velocity, 24, &23_u32.to_le_bytes(), short);
     let sized = Malformed::ImageSize {
         width: 1,
         height: 0,

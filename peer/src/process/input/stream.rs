@@ -150,7 +150,12 @@ impl Source for StreamSource {
                 Ok(Message::Frame(frame)) => return Some(self.take_frame(frame)),
                 Ok(Message::Fix(fix)) if self.takes_fixes => return Some(self.take_fix(fix)),
                 Ok(Message::End) => self.has_ended = true,
-                Ok(Message::Hello | Message::Acknowledgement { .. } | Message::Fix(_)) => {}
+                Ok(
+                    Message::Hello
+                    | Message::Acknowledgement { .. }
+                    | Message::Fix(_)
+                    | Message::Velocity(_),
+                ) => {}
                 Err(ReadError::Malformed(error @ Malformed::NotFinite)) => {
                     if self.takes_fixes {
                         return Some(self.skip(Skipped::Fix, &error.to_string()));
