@@ -1,5 +1,6 @@
 //! `vehicle.toml`: what one vehicle needs to know.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use geodesy::Datum;
@@ -24,6 +25,8 @@ pub struct VehicleConfig {
     pub camera: CameraConfig,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position: Option<PositionConfig>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub keeping: Option<KeepingConfig>,
     #[serde(default)]
     pub zenoh: ZenohConfig,
     #[serde(default)]
@@ -73,6 +76,28 @@ pub struct PositionConfig {
     pub noise_seed: u64,
     /// From the body's origin to the antenna, forward, left, up; at most 100 m long.
     pub lever_arm_m: [f64; 3],
+}
+
+/// Holds a place behind another vehicle by the two lights that it carries, one above the other.
+/// Velocities go to the autopilot through the camera's stream driver.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KeepingConfig {
+    /// Between the lights. 0.02 to 2.
+    pub light_distance_m: f64,
+    /// How far apart the lights shall be in the picture: focal length times their distance over
+    /// this is how far behind the place is. 3 to 50: less is far away and noisy.
+    pub separation_px: f64,
+    /// Where between left and right of the picture they shall be; on the optical axis if not set.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lateral_px: Option<f64>,
+    /// Centres of vehicles stay this far apart, whatever is commanded. 0.2 to 20.
+    pub distance_m_min: f64,
+    /// Of what is commanded, in each direction. 0.05 to 10: faster follows a faster vehicle, and
+    /// errs farther when the lights are lost.
+    pub speed_mps_max: f64,
+    /// Velocities are sent at least so often, also between images. 2 to 200.
+    pub rate_hz: f64,
 }
 
 /// The session's place in the network.
@@ -129,6 +154,20 @@ impl Default for PositionConfig {
             noise_m: 0.0,
             noise_seed: 0,
             lever_arm_m: [0.0; 3],
+        }
+    }
+}
+
+impl Default for KeepingConfig {
+    /// The paper's flight test.
+    fn default() -> Self {
+        Self {
+            light_distance_m: 0.1,
+            separation_px: 10.0,
+            lateral_px: None,
+            distance_m_min: 0.8,
+            speed_mps_max: 0.5,
+            rate_hz: 20.0,
         }
     }
 }
@@ -201,6 +240,15 @@ impl VehicleConfig {
             }
             if position.file.is_some() && self.camera.dataset.is_none() {
                 return Err("[position] file needs a [camera] dataset".to_owned());
+            }
+        }
+        if let Some(keeping) = &self.keeping {
+            keeping.check()?;
+            if self.camera.stream.is_none() {
+                return Err(
+                    "[keeping] needs a [camera] stream, whose driver takes its velocities"
+                        .to_owned(),
+                );
             }
         }
         if self.zenoh.listen.is_empty() {
@@ -278,6 +326,30 @@ impl PositionConfig {
         }
         Ok(())
     }
+}
+
+impl KeepingConfig {
+    fn check(&self) -> Result<(), String> {
+        check_within("light_distance_m", self.light_distance_m, 0.02..=2.0)?;
+        check_within("separation_px", self.separation_px, 3.0..=50.0)?;
+        if let Some(lateral_px) = self.lateral_px {
+            check_within("lateral_px", lateral_px, 0.0..=1e4)?;
+        }
+        check_within("distance_m_min", self.distance_m_min, 0.2..=20.0)?;
+        check_within("speed_mps_max", self.speed_mps_max, 0.05..=10.0)?;
+        check_within("rate_hz", self.rate_hz, 2.0..=200.0)
+    }
+}
+
+/// Of a number of `[keeping]`.
+fn check_within(name: &str, value: f64, range: RangeInclusive<f64>) -> Result<(), String> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    let (low, high) = (range.start(), range.end());
+    Err(format!(
+        "[keeping] {name} is {value}, expected {low} to {high}"
+    ))
 }
 
 impl EstimationConfig {

@@ -341,6 +341,7 @@ fn vehicle_config(
             ..EstimationConfig::default()
         },
         out: out.to_owned(),
+        keeping: None,
         store: None,
     })
 }

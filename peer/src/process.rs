@@ -1,5 +1,6 @@
 //! A vehicle's process: drivers and link in, node in the middle, files and link out.
 
+mod autopilot;
 pub mod control;
 mod input;
 pub mod interrupt;
@@ -23,11 +24,13 @@ use crate::config::VehicleConfig;
 use crate::files::create_folder;
 use crate::link::{Inbox, LinkEvent, inbox};
 use crate::node::{Event, Node, NodeSettings, PositionSource};
+use crate::station::StationLoop;
 use crate::store::{Reloaded, Store};
 use control::{Order, Report};
 use input::Input;
 use vehicle::Vehicle;
 
+pub use autopilot::KeepingSummary;
 pub use summary::VehicleSummary;
 
 /// Who decides when the next frame comes.
@@ -70,6 +73,7 @@ pub fn fly(
     if supervision == Supervision::None {
         interrupt::listen();
     }
+    let station = autopilot::start(config, source.as_ref())?;
     let (sender, arrivals) = sync_channel(QUEUE_LIMIT);
     let link_inbox: Inbox = inbox(sender.clone(), Arrival::Link);
     let mut vehicle = Vehicle::open(config, node, held, link_inbox)?;
@@ -82,10 +86,15 @@ pub fn fly(
         std::thread::spawn(move || control::read_orders(&sender));
     }
     if supervision == Supervision::Paced {
+        // On a parent's clock only recordings are flown, and they take no velocities.
         paced::run(&mut vehicle, source.as_mut(), &arrivals, report);
     } else {
-        let acknowledgements = input::start(source, sender);
+        let window = station.as_ref().map(StationLoop::window);
+        let acknowledgements = input::start(source, sender, window);
         run_free(&mut vehicle, &arrivals, &acknowledgements);
+    }
+    if let Some(station) = station {
+        vehicle.end_station(station.finish());
     }
     let summary = vehicle.finish();
     report(&Report::Finished {

@@ -402,6 +402,7 @@ fn vehicle_config(
             ..EstimationConfig::default()
         },
         out: absolute(&plan.out)?,
+        keeping: None,
         store: None,
     })
 }

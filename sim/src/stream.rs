@@ -94,8 +94,8 @@ pub enum Malformed {
     #[error("payload of {got} bytes, expected {expected}")]
     PayloadSize { got: usize, expected: usize },
     /// The one of these after which the next message can be read: its length was right.
-    #[error("a fix or a velocity holds a number that is not finite")]
-    NotFinite,
+    #[error("{what} holds a number that is not finite")]
+    NotFinite { what: &'static str },
 }
 
 /// Why no message could be read.
@@ -312,7 +312,7 @@ fn encode_numbers(numbers: &[f64], bytes: &mut Vec<u8>) {
 }
 
 fn decode_fix(captured_at: Timestamp, payload: &[u8]) -> Result<Fix, Malformed> {
-    let [x, y, z, m11, m12, m13, m22, m23, m33] = decode_numbers(payload)?;
+    let [x, y, z, m11, m12, m13, m22, m23, m33] = decode_numbers(payload, "a fix")?;
     Ok(Fix {
         captured_at,
         position_in_site: Vector3::new(x, y, z),
@@ -323,16 +323,19 @@ fn decode_fix(captured_at: Timestamp, payload: &[u8]) -> Result<Fix, Malformed> 
 fn decode_velocity(captured_at: Timestamp, payload: &[u8]) -> Result<VelocityCommand, Malformed> {
     Ok(VelocityCommand {
         captured_at,
-        velocity_in_heading: Vector3::from(decode_numbers(payload)?),
+        velocity_in_heading: Vector3::from(decode_numbers(payload, "a velocity")?),
     })
 }
 
-fn decode_numbers<const COUNT: usize>(payload: &[u8]) -> Result<[f64; COUNT], Malformed> {
+fn decode_numbers<const COUNT: usize>(
+    payload: &[u8],
+    what: &'static str,
+) -> Result<[f64; COUNT], Malformed> {
     let numbers = std::array::from_fn(|idx| f64::from_le_bytes(array_at(payload, 8 * idx)));
     if numbers.iter().all(|number: &f64| number.is_finite()) {
         Ok(numbers)
     } else {
-        Err(Malformed::NotFinite)
+        Err(Malformed::NotFinite { what })
     }
 }
 

@@ -93,6 +93,19 @@ fn refuses_numbers_out_of_range_naming_key_value_and_file() {
     estimation("threads = 0", "threads is 0");
     estimation("threads = -1", "expected usize");
     check("[zenoh]\nlisten = []", "listen is []");
+    let keeping = |line: &str, expected: &str| {
+        check(&format!("[keeping]\n{line}"), expected);
+    };
+    keeping(
+        "separation_px = 1.0",
+        "separation_px is 1, expected 3 to 50",
+    );
+    keeping("light_distance_m = nan", "light_distance_m is NaN");
+    keeping("rate_hz = 0.0", "rate_hz is 0, expected 2 to 200");
+    keeping("lateral_px = -1.0", "lateral_px is -1");
+    keeping("distance_m_min = inf", "distance_m_min is inf");
+    keeping("speed_mps_max = 0.0", "speed_mps_max is 0");
+    keeping("colour = 1", "unknown field");
 }
 
 #[test]
@@ -113,6 +126,11 @@ fn refuses_cameras_and_fixes_that_do_not_go_together() {
         "dataset = 'd'",
         "[position]\nstream = true",
         "needs a [camera] stream",
+    );
+    check(
+        "dataset = 'd'",
+        "[keeping]",
+        "[keeping] needs a [camera] stream",
     );
     check(
         "stream = 'here'\ncalibration = 'c'",

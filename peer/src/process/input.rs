@@ -11,10 +11,12 @@ use anchor::PositionFix;
 use anyhow::bail;
 use camera::{Calibration, Image};
 use geometry::Timestamp;
+use nalgebra::Vector3;
 
 use super::Arrival;
 use crate::config::VehicleConfig;
 use crate::dataset::CalibrationFile;
+use crate::station::StationWindow;
 use recording::Recording;
 use stream::StreamSource;
 
@@ -73,6 +75,10 @@ impl Input {
     }
 }
 
+/// Takes velocities for the autopilot: when they are from, and forward, left and up in the heading
+/// frame.
+pub type VelocitySink = Box<dyn FnMut(Timestamp, &Vector3<f64>) + Send>;
+
 /// A camera with a position source or without.
 pub trait Source: Send {
     fn calibration(&self) -> &Calibration;
@@ -88,6 +94,11 @@ pub trait Source: Send {
 
     /// Whether the stamps say when a frame is due, or frames come when they come.
     fn is_recorded(&self) -> bool;
+
+    /// The way to the autopilot, if the driver is one.
+    fn velocity_sink(&self) -> Option<VelocitySink> {
+        None
+    }
 }
 
 /// So long may a stream driver take to answer, and to finish a message that it began.
@@ -114,9 +125,15 @@ pub fn open(config: &VehicleConfig) -> anyhow::Result<Box<dyn Source>> {
 }
 
 /// Feeds the vehicle's loop from a thread, one frame at a time, recordings by their stamps.
-pub(super) fn start(source: Box<dyn Source>, arrivals: SyncSender<Arrival>) -> Sender<Timestamp> {
+///
+/// - `station`: sees each image before the loop does, and answers it on its own.
+pub(super) fn start(
+    source: Box<dyn Source>,
+    arrivals: SyncSender<Arrival>,
+    station: Option<StationWindow>,
+) -> Sender<Timestamp> {
     let (sender, acknowledged) = channel();
-    std::thread::spawn(move || feed(source, &arrivals, &acknowledged));
+    std::thread::spawn(move || feed(source, &arrivals, &acknowledged, station.as_ref()));
     sender
 }
 
@@ -124,6 +141,7 @@ fn feed(
     mut source: Box<dyn Source>,
     arrivals: &SyncSender<Arrival>,
     acknowledged: &Receiver<Timestamp>,
+    station: Option<&StationWindow>,
 ) {
     let mut start: Option<(Instant, Timestamp)> = None;
     while let Some(input) = source.next_input() {
@@ -133,14 +151,20 @@ fn feed(
             let due = began + captured_at.since(first);
             std::thread::sleep(due.saturating_duration_since(Instant::now()));
         }
+        if let (Some(station), Input::Frame { captured_at, image }) = (station, &input) {
+            station.show(*captured_at, image.clone());
+        }
         if arrivals.send(Arrival::Input(input)).is_err() {
             return;
         }
         if is_frame {
-            match acknowledged.recv() {
-                Ok(captured_at) => source.acknowledge(captured_at),
-                Err(_) => return,
+            let Ok(captured_at) = acknowledged.recv() else {
+                return;
+            };
+            if let Some(station) = station {
+                station.wait_until_answered();
             }
+            source.acknowledge(captured_at);
         }
     }
     // The loop may have ended for another reason.

@@ -26,6 +26,12 @@ impl Loss {
         self.count += 1;
     }
 
+    /// Takes over what another thread has lost.
+    pub fn add(&mut self, other: Self) {
+        self.count += other.count;
+        self.first = self.first.take().or(other.first);
+    }
+
     /// What was lost first, and why: a log on the same disk may hold nothing of it.
     pub fn first(&self) -> Option<&str> {
         self.first.as_deref()

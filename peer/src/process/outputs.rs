@@ -19,7 +19,7 @@ use crate::files::{
 };
 use crate::node::{FramePose, GlobalFramePose, Node, Status};
 use crate::recorder::{Recorder, RecorderError, Stamp};
-use lines::Lines;
+pub use lines::Lines;
 
 /// `{id}.tum` and `{id}.cov.csv` grow with each global frame; the rest is written at the end.
 pub struct Outputs {

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::KeepingSummary;
 use crate::node::NodeCounters;
 
 /// `{id}.json`. Unknown numbers are null.
@@ -46,6 +47,9 @@ pub struct VehicleSummary {
     pub ms_per_frame_p50: Option<f64>,
     pub ms_per_frame_p99: Option<f64>,
     pub counters: NodeCounters,
+    /// Null for a vehicle that holds no place.
+    #[serde(default)]
+    pub keeping: Option<KeepingSummary>,
 }
 
 impl VehicleSummary {

@@ -7,6 +7,7 @@ use geometry::Timestamp;
 use protocol::VehicleState;
 
 use super::VehicleSummary;
+use super::autopilot::{Autopilot, KeepingSummary};
 use super::control::Counted;
 use super::input::{Input, Skipped};
 use super::loss::Loss;
@@ -27,6 +28,7 @@ pub struct Vehicle {
     outputs: Outputs,
     tally: Tally,
     loss: Loss,
+    keeping: Option<KeepingSummary>,
     now: Timestamp,
     /// Requests that wait for a parent's word; without a parent's clock they do not wait.
     held_requests: Option<Vec<(RequestId, String)>>,
@@ -67,6 +69,7 @@ impl Vehicle {
             outputs: Outputs::create(&config.out, &config.id)?,
             tally: Tally::default(),
             loss: Loss::default(),
+            keeping: None,
             now: Timestamp::default(),
             held_requests: None,
         })
@@ -196,6 +199,18 @@ impl Vehicle {
         }
     }
 
+    /// Takes over what the station-keeping loop did; `None` if a fault of its own has ended it.
+    pub fn end_station(&mut self, autopilot: Option<Autopilot>) {
+        let ended = autopilot.ok_or("it has ended in flight by a fault of its own");
+        match ended {
+            Ok(autopilot) => {
+                self.keeping = Some(autopilot.summary);
+                self.loss.add(autopilot.loss);
+            }
+            Err(reason) => self.loss.note("station-keeping", Err(reason)),
+        }
+    }
+
     /// Leaves the network and writes what is only known at the end.
     pub fn finish(mut self) -> VehicleSummary {
         let mut summary = self.summary();
@@ -238,6 +253,7 @@ impl Vehicle {
             ms_per_frame_p50: quantile(&tally.frame_ms, 0.5),
             ms_per_frame_p99: quantile(&tally.frame_ms, 0.99),
             counters: self.node.counters(),
+            keeping: self.keeping.clone(),
         }
     }
 }

@@ -125,11 +125,12 @@ fn refuses_headers_that_lie() {
     };
     check(&frame, 24, &u32::MAX.to_le_bytes(), long);
     let nan = f64::NAN.to_le_bytes();
-    check(&Message::Fix(fix()), 36, &nan, Malformed::NotFinite);
+    let not_finite = |what| Malformed::NotFinite { what };
+    check(&Message::Fix(fix()), 36, &nan, not_finite("a fix"));
     let velocity = Message::Velocity(velocity());
-    check(&velocity, 44, &nan, Malformed::NotFinite);
+    check(&velocity, 44, &nan, not_finite("a velocity"));
     let infinite = f64::INFINITY.to_le_bytes();
-    check(&velocity, 28, &infinite, Malformed::NotFinite);
+    check(&velocity, 28, &infinite, not_finite("a velocity"));
     let format = Malformed::Format {
         got: 1,
         expected: 0,

@@ -16,5 +16,6 @@ mod outage;
 mod processes;
 mod real_video;
 mod recordings;
+mod station;
 mod usage;
 mod wire;

@@ -2,6 +2,7 @@
 
 use std::io::{self, BufRead, BufReader, ErrorKind};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anchor::{FixPosition, PositionFix};
@@ -11,8 +12,11 @@ use geometry::Timestamp;
 use sim::stream::{self, Malformed, Message, ReadError};
 
 use super::stamp_gate::StampGate;
-use super::{Input, Skipped, Source};
+use super::{Input, Skipped, Source, VelocitySink};
 use crate::dataset::ImageError;
+
+/// Acknowledgements and velocities come from different threads.
+type Writer = Arc<Mutex<TcpStream>>;
 
 /// The vehicle's side of the connection.
 pub struct StreamSource {
@@ -22,7 +26,7 @@ pub struct StreamSource {
     pub takes_fixes: bool,
     patience: Duration,
     reader: BufReader<TcpStream>,
-    writer: TcpStream,
+    writer: Writer,
     frame_gate: StampGate,
     fix_gate: StampGate,
     has_ended: bool,
@@ -40,6 +44,7 @@ impl StreamSource {
             .with_context(|| format!("cannot reach the stream driver at {address}"))?;
         writer.set_nodelay(true)?;
         writer.set_read_timeout(Some(patience))?;
+        writer.set_write_timeout(Some(patience))?;
         let mut reader = BufReader::new(writer.try_clone()?);
         let greeting = stream::write_message(&mut writer, &Message::Hello)
             .map_err(ReadError::from)
@@ -58,7 +63,7 @@ impl StreamSource {
             takes_fixes: true,
             patience,
             reader,
-            writer,
+            writer: Arc::new(Mutex::new(writer)),
             frame_gate: StampGate::default(),
             fix_gate: StampGate::default(),
             has_ended: false,
@@ -156,7 +161,7 @@ impl Source for StreamSource {
                     | Message::Fix(_)
                     | Message::Velocity(_),
                 ) => {}
-                Err(ReadError::Malformed(error @ Malformed::NotFinite)) => {
+                Err(ReadError::Malformed(error @ Malformed::NotFinite { .. })) => {
                     if self.takes_fixes {
                         return Some(self.skip(Skipped::Fix, &error.to_string()));
                     }
@@ -177,14 +182,30 @@ impl Source for StreamSource {
     }
 
     fn acknowledge(&mut self, captured_at: Timestamp) {
-        let message = Message::Acknowledgement { captured_at };
-        if let Err(error) = stream::write_message(&mut self.writer, &message) {
-            tracing::debug!(%error, "the stream driver has gone");
-        }
+        send(&self.writer, &Message::Acknowledgement { captured_at });
     }
 
     fn is_recorded(&self) -> bool {
         false
+    }
+
+    fn velocity_sink(&self) -> Option<VelocitySink> {
+        let writer = Arc::clone(&self.writer);
+        Some(Box::new(move |captured_at, velocity_in_heading| {
+            let command = stream::VelocityCommand {
+                captured_at,
+                velocity_in_heading: *velocity_in_heading,
+            };
+            send(&writer, &Message::Velocity(command));
+        }))
+    }
+}
+
+/// Whoever reads the stream learns that the driver has gone.
+fn send(writer: &Writer, message: &Message) {
+    let mut writer = writer.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Err(error) = stream::write_message(&mut *writer, message) {
+        tracing::debug!(%error, "the stream driver has gone");
     }
 }
 

@@ -1,0 +1,108 @@
+//! What the station-keeping loop says goes to the autopilot, into a file, and into the summary.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use geometry::Timestamp;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::input::{Source, VelocitySink};
+use super::loss::Loss;
+use super::outputs::Lines;
+use crate::config::{KeepingConfig, VehicleConfig};
+use crate::station::{Outlet, StationKeeper, StationLoop, StationMoment, StationSettings};
+
+/// How station-keeping went.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct KeepingSummary {
+    /// Images that the loop looked at.
+    pub frame_count: u64,
+    /// Those that showed the lights that are followed.
+    pub seen_count: u64,
+    /// Those after which the safety filter changed what was wanted.
+    pub withheld_count: u64,
+    /// Velocities sent, after images and between them.
+    pub velocity_count: u64,
+}
+
+/// Takes the loop's velocities.
+pub struct Autopilot {
+    sink: VelocitySink,
+    lines: Lines,
+    pub loss: Loss,
+    pub summary: KeepingSummary,
+}
+
+const HEADER: &str = "timestamp,separation_px,lateral_px,forward_mps,left_mps,withheld_mps";
+/// Less than the filter's own rounding is no intervention.
+const WITHHELD_MPS_MIN: f64 = 1e-3;
+
+/// Starts the loop if the configuration asks for it.
+pub fn start(
+    config: &VehicleConfig,
+    source: &dyn Source,
+) -> anyhow::Result<Option<StationLoop<Autopilot>>> {
+    let Some(keeping) = &config.keeping else {
+        return Ok(None);
+    };
+    let Some(sink) = source.velocity_sink() else {
+        bail!("[keeping] needs a [camera] stream, whose driver takes its velocities");
+    };
+    let keeper = StationKeeper::new(&keeping.settings(), source.calibration())
+        .context("[keeping] separation_px is too large")?;
+    let path = config.out.join(format!("{}.keeping.csv", config.id));
+    let autopilot = Autopilot::create(sink, &path)?;
+    let period = Duration::from_secs_f64(1.0 / keeping.rate_hz);
+    Ok(Some(StationLoop::start(keeper, period, autopilot)))
+}
+
+impl Autopilot {
+    fn create(sink: VelocitySink, path: &Path) -> anyhow::Result<Self> {
+        let mut lines = Lines::create(path)?;
+        lines.append(HEADER)?;
+        Ok(Self {
+            sink,
+            lines,
+            loss: Loss::default(),
+            summary: KeepingSummary::default(),
+        })
+    }
+}
+
+impl Outlet for Autopilot {
+    fn fly(&mut self, now: Timestamp, velocity_in_heading: &Vector3<f64>) {
+        (self.sink)(now, velocity_in_heading);
+        self.summary.velocity_count += 1;
+    }
+
+    fn note(&mut self, moment: &StationMoment) {
+        let command = &moment.command;
+        self.summary.frame_count += 1;
+        self.summary.seen_count += u64::from(command.seen.is_some());
+        self.summary.withheld_count += u64::from(command.withheld_mps > WITHHELD_MPS_MIN);
+        let lights = command.seen.map_or_else(
+            || ",".to_owned(),
+            |lights| format!("{:.3},{:.2}", lights.separation_px, lights.lateral_px),
+        );
+        let line = format!(
+            "{},{lights},{:.4},{:.4},{:.4}",
+            moment.captured_at, command.velocity.x, command.velocity.y, command.withheld_mps
+        );
+        self.loss
+            .note("the log of station-keeping", self.lines.append(&line));
+    }
+}
+
+impl KeepingConfig {
+    fn settings(&self) -> StationSettings {
+        StationSettings {
+            light_distance_m: self.light_distance_m,
+            separation_px: self.separation_px,
+            lateral_px: self.lateral_px,
+            distance_m_min: self.distance_m_min,
+            speed_mps_max: self.speed_mps_max,
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The loop's thread: it wakes for every image, and at a fixed rate without one.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use camera::Image;
+use geometry::Timestamp;
+use nalgebra::Vector3;
+
+use super::keeper::{StationKeeper, StationMoment};
+
+/// Where velocities go: to the autopilot, and beside an image what they come from.
+pub trait Outlet: Send {
+    /// - `velocity_in_heading`: forward, left, up.
+    fn fly(&mut self, now: Timestamp, velocity_in_heading: &Vector3<f64>);
+
+    fn note(&mut self, moment: &StationMoment);
+}
+
+/// The running loop.
+pub struct StationLoop<O> {
+    window: StationWindow,
+    thread: JoinHandle<O>,
+}
+
+/// Through it the loop sees. Only the newest image waits; one that was not looked at in time is
+/// replaced.
+#[derive(Clone)]
+pub struct StationWindow {
+    shared: Arc<Shared>,
+}
+
+#[derive(Default)]
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    waiting: Option<(Timestamp, Image)>,
+    /// Images so far, and how many of them are answered or were replaced.
+    shown_count: u64,
+    answered_count: u64,
+    is_closed: bool,
+}
+
+/// What the loop wakes up for.
+enum Waking {
+    Image {
+        number: u64,
+        captured_at: Timestamp,
+        image: Image,
+    },
+    Beat,
+    End,
+}
+
+impl<O: Outlet + 'static> StationLoop<O> {
+    /// - `period`: a velocity goes out at least so often, from the first image on.
+    pub fn start(keeper: StationKeeper, period: Duration, outlet: O) -> Self {
+        let window = StationWindow {
+            shared: Arc::default(),
+        };
+        let seen_through = window.clone();
+        let thread = std::thread::spawn(move || keep(keeper, period, outlet, &seen_through));
+        Self { window, thread }
+    }
+
+    pub fn window(&self) -> StationWindow {
+        self.window.clone()
+    }
+
+    /// Ends the loop; `None` if it has ended before by a fault of its own.
+    pub fn finish(self) -> Option<O> {
+        self.window.close();
+        self.thread.join().ok()
+    }
+}
+
+fn keep<O: Outlet>(
+    mut keeper: StationKeeper,
+    period: Duration,
+    mut outlet: O,
+    window: &StationWindow,
+) -> O {
+    // Nobody may wait for a loop that has ended, however it did.
+    let _closing = Closing(window);
+    let mut newest: Option<(Timestamp, Instant)> = None;
+    let mut next_beat = Instant::now() + period;
+    loop {
+        match window.wake(next_beat) {
+            Waking::End => return outlet,
+            Waking::Image {
+                number,
+                captured_at,
+                image,
+            } => {
+                let moment = keeper.see(captured_at, &image);
+                if let Some(moment) = &moment {
+                    newest = Some((captured_at, Instant::now()));
+                    outlet.fly(captured_at, &moment.command.velocity);
+                }
+                window.answer(number);
+                if let Some(moment) = &moment {
+                    outlet.note(moment);
+                }
+            }
+            Waking::Beat => {
+                next_beat = Instant::now().max(next_beat + period);
+                if let Some((captured_at, at)) = newest {
+                    let now = captured_at.after(at.elapsed());
+                    outlet.fly(now, &keeper.velocity_at(now));
+                }
+            }
+        }
+    }
+}
+
+impl StationWindow {
+    pub fn show(&self, captured_at: Timestamp, image: Image) {
+        let mut state = self.lock();
+        state.waiting = Some((captured_at, image));
+        state.shown_count += 1;
+        self.shared.changed.notify_all();
+    }
+
+    /// Waits until all that was shown is answered, so that a velocity goes out before the
+    /// acknowledgement of its image. The loop waits for nobody, so this is short.
+    pub fn wait_until_answered(&self) {
+        let mut state = self.lock();
+        while state.answered_count < state.shown_count && !state.is_closed {
+            let woken = self.shared.changed.wait(state);
+            state = woken.unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn wake(&self, next_beat: Instant) -> Waking {
+        let mut state = self.lock();
+        loop {
+            if state.is_closed {
+                return Waking::End;
+            }
+            if let Some((captured_at, image)) = state.waiting.take() {
+                return Waking::Image {
+                    number: state.shown_count,
+                    captured_at,
+                    image,
+                };
+            }
+            let left = next_beat.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Waking::Beat;
+            }
+            let woken = self.shared.changed.wait_timeout(state, left);
+            state = woken.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    fn answer(&self, number: u64) {
+        self.lock().answered_count = number;
+        self.shared.changed.notify_all();
+    }
+
+    fn close(&self) {
+        self.lock().is_closed = true;
+        self.shared.changed.notify_all();
+    }
+
+    /// A thread that died while it held the lock left nothing half done.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        let state = self.shared.state.lock();
+        state.unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+struct Closing<'a>(&'a StationWindow);
+
+impl Drop for Closing<'_> {
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
