@@ -12,6 +12,7 @@ mod places;
 mod receive;
 mod shelf;
 mod status;
+mod surroundings;
 mod tied_pose;
 
 use std::sync::Arc;

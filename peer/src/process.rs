@@ -10,7 +10,7 @@ mod paced;
 mod summary;
 mod vehicle;
 
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::{Receiver, Sender, sync_channel};
 use std::time::{Duration, Instant};
 
 use camera::Calibration;
@@ -24,7 +24,7 @@ use crate::config::VehicleConfig;
 use crate::files::create_folder;
 use crate::link::{Inbox, LinkEvent, inbox};
 use crate::node::{Event, Node, NodeSettings, PositionSource};
-use crate::station::StationLoop;
+use crate::station::{StationLoop, StationWindow};
 use crate::store::{Reloaded, Store};
 use control::{Order, Report};
 use input::Input;
@@ -90,8 +90,8 @@ pub fn fly(
         paced::run(&mut vehicle, source.as_mut(), &arrivals, report);
     } else {
         let window = station.as_ref().map(StationLoop::window);
-        let acknowledgements = input::start(source, sender, window);
-        run_free(&mut vehicle, &arrivals, &acknowledgements);
+        let acknowledgements = input::start(source, sender, window.clone());
+        run_free(&mut vehicle, &arrivals, &acknowledgements, window.as_ref());
     }
     if let Some(station) = station {
         vehicle.end_station(station.finish());
@@ -109,7 +109,8 @@ const TICK: Duration = Duration::from_millis(100);
 fn run_free(
     vehicle: &mut Vehicle,
     arrivals: &Receiver<Arrival>,
-    acknowledgements: &std::sync::mpsc::Sender<Timestamp>,
+    acknowledgements: &Sender<Timestamp>,
+    station: Option<&StationWindow>,
 ) {
     let mut newest = (Timestamp::default(), Instant::now());
     loop {
@@ -132,6 +133,9 @@ fn run_free(
                     newest = (captured_at, Instant::now());
                 }
                 vehicle.take_input(input, captured_at);
+                if let (Some(station), true) = (station, is_frame) {
+                    station.tell(captured_at, vehicle.obstacles());
+                }
                 // A driver that has gone needs no acknowledgement.
                 if is_frame {
                     let _ = acknowledgements.send(captured_at);

@@ -7,7 +7,7 @@ use nalgebra::{Vector2, Vector3};
 
 use crate::follower::{FeedForward, Follower, FollowerSettings, LightPair, PlanarVelocity};
 use crate::markers::{MarkerTrack, TrackId, TrackState};
-use crate::safety::{self, Flight, Limit, Limits, SafetySettings};
+use crate::safety::{self, Flight, Limit, Limits, OBSTACLE_COUNT_MAX, Obstacle, SafetySettings};
 use crate::sighting::{MarkerModel, Separation, Sighting};
 use crate::tracks::{TrackSettings, Tracks};
 
@@ -107,8 +107,14 @@ impl GuardedFollower {
     /// What to fly after an image.
     ///
     /// - `tracks`: the camera's marker tracks as of this image.
+    /// - `obstacles`: what is known of them, the nearest first, in the heading frame.
     /// - `step_s`: since the image before.
-    pub fn step(&mut self, tracks: &[MarkerTrack], step_s: f64) -> GuardedCommand {
+    pub fn step(
+        &mut self,
+        tracks: &[MarkerTrack],
+        obstacles: &[Obstacle],
+        step_s: f64,
+    ) -> GuardedCommand {
         let taken_up = 1.0 - (-step_s / self.settings.lag_s).exp();
         self.own += (self.commanded - self.own) * taken_up;
         let seen = self.choose(tracks).map(|track| LightPair {
@@ -123,6 +129,12 @@ impl GuardedFollower {
         let forward_mps = wanted.forward_mps.max(-self.settings.backward_mps_max);
         let wanted = Vector3::new(forward_mps, wanted.left_mps, 0.0);
         self.collect_limits(tracks, step_s);
+        for obstacle in obstacles.iter().take(OBSTACLE_COUNT_MAX) {
+            let mut limit = self.settings.safety.obstacle_limit(obstacle);
+            // A map may be wrong: it stops the vehicle, and never drives it.
+            limit.speed_mps_max = limit.speed_mps_max.max(0.0);
+            let _ = self.limits.push(limit);
+        }
         let velocity = self.capped(safety::limit(&wanted, &self.limits));
         self.commanded = velocity;
         GuardedCommand {
@@ -172,7 +184,7 @@ impl GuardedFollower {
             let safety = &self.settings.safety;
             let limit = safety.neighbour_limit(track.direction_in_level, track, &flight);
             if let Some(limit) = limit.as_ref().and_then(level) {
-                // Room for all tracks is reserved.
+                // Room for all tracks and obstacles is reserved.
                 let _ = self.limits.push(limit);
             }
         }

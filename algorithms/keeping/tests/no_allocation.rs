@@ -125,7 +125,7 @@ fn no_image_costs_an_allocation() {
         let captured_at = Timestamp::from_nanoseconds(50_000_000 * idx as i64);
         pair_count += camera.see(image, captured_at, None).0.pairs.len();
         pair_count += usize::from(paper.find(image, captured_at).is_some());
-        follower.step(camera.tracks(), 0.05);
+        follower.step(camera.tracks(), &[], 0.05);
     }
     let after = ALLOCATION_COUNT.get();
     assert!(pair_count > 100, "{pair_count}");

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use geometry::Timestamp;
+use keeping::Obstacle;
 use protocol::VehicleState;
 
 use super::VehicleSummary;
@@ -30,6 +31,7 @@ pub struct Vehicle {
     loss: Loss,
     keeping: Option<KeepingSummary>,
     now: Timestamp,
+    newest_pose: Option<Box<FramePose>>,
     /// Requests that wait for a parent's word; without a parent's clock they do not wait.
     held_requests: Option<Vec<(RequestId, String)>>,
 }
@@ -71,6 +73,7 @@ impl Vehicle {
             loss: Loss::default(),
             keeping: None,
             now: Timestamp::default(),
+            newest_pose: None,
             held_requests: None,
         })
     }
@@ -194,6 +197,7 @@ impl Vehicle {
                     self.tally.count_pose(&pose);
                     self.outputs
                         .write(&pose, self.node.status(), &mut self.loss);
+                    self.newest_pose = Some(pose);
                 }
             }
         }
@@ -209,6 +213,12 @@ impl Vehicle {
             }
             Err(reason) => self.loss.note("station-keeping", Err(reason)),
         }
+    }
+
+    /// What of the own map is around the vehicle as of its newest frame.
+    pub fn obstacles(&self) -> Vec<Obstacle> {
+        let pose = self.newest_pose.as_ref();
+        pose.map_or_else(Vec::new, |pose| self.node.obstacles(pose, self.now))
     }
 
     /// Leaves the network and writes what is only known at the end.

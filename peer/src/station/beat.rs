@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use camera::Image;
 use geometry::Timestamp;
+use keeping::Obstacle;
 use nalgebra::Vector3;
 
 use super::keeper::{StationKeeper, StationMoment};
@@ -43,8 +44,13 @@ struct State {
     /// Images so far, and how many of them are answered or were replaced.
     shown_count: u64,
     answered_count: u64,
+    obstacles: Arc<[Obstacle]>,
+    obstacles_at: Timestamp,
     is_closed: bool,
 }
+
+/// Where obstacles were so long ago says nothing about where they are from the vehicle.
+const OBSTACLES_S: f64 = 1.0;
 
 /// What the loop wakes up for.
 enum Waking {
@@ -52,6 +58,7 @@ enum Waking {
         number: u64,
         captured_at: Timestamp,
         image: Image,
+        obstacles: Arc<[Obstacle]>,
     },
     Beat,
     End,
@@ -96,8 +103,9 @@ fn keep<O: Outlet>(
                 number,
                 captured_at,
                 image,
+                obstacles,
             } => {
-                let moment = keeper.see(captured_at, &image);
+                let moment = keeper.see(captured_at, &image, &obstacles);
                 if let Some(moment) = &moment {
                     newest = Some((captured_at, Instant::now()));
                     outlet.fly(captured_at, &moment.command.velocity);
@@ -126,6 +134,14 @@ impl StationWindow {
         self.shared.changed.notify_all();
     }
 
+    /// Says what is around the vehicle, in its heading frame, the nearest first. Whoever knows may
+    /// tell; the loop asks nobody, and forgets what has not been said for a second.
+    pub fn tell(&self, now: Timestamp, obstacles: Vec<Obstacle>) {
+        let mut state = self.lock();
+        state.obstacles = obstacles.into();
+        state.obstacles_at = now;
+    }
+
     /// Waits until all that was shown is answered, so that a velocity goes out before the
     /// acknowledgement of its image. The loop waits for nobody, so this is short.
     pub fn wait_until_answered(&self) {
@@ -143,10 +159,16 @@ impl StationWindow {
                 return Waking::End;
             }
             if let Some((captured_at, image)) = state.waiting.take() {
+                let is_known = captured_at - state.obstacles_at <= OBSTACLES_S;
                 return Waking::Image {
                     number: state.shown_count,
                     captured_at,
                     image,
+                    obstacles: if is_known {
+                        Arc::clone(&state.obstacles)
+                    } else {
+                        Arc::default()
+                    },
                 };
             }
             let left = next_beat.saturating_duration_since(Instant::now());

@@ -3,7 +3,7 @@
 use camera::{Calibration, Image};
 use geometry::Timestamp;
 use keeping::markers::{CameraMarkers, FinderSettings, TrackerSettings};
-use keeping::{GuardedCommand, GuardedFollower, GuardedFollowerSettings, MarkerModel};
+use keeping::{GuardedCommand, GuardedFollower, GuardedFollowerSettings, MarkerModel, Obstacle};
 use nalgebra::Vector3;
 
 /// Which place is held, and how.
@@ -80,14 +80,21 @@ impl StationKeeper {
     }
 
     /// Takes an image in; one that is not newer than the last changes nothing.
-    pub fn see(&mut self, captured_at: Timestamp, image: &Image) -> Option<StationMoment> {
+    ///
+    /// - `obstacles`: what is known of them now, in the heading frame, the nearest first.
+    pub fn see(
+        &mut self,
+        captured_at: Timestamp,
+        image: &Image,
+        obstacles: &[Obstacle],
+    ) -> Option<StationMoment> {
         let before = self.newest.map(|moment| moment.captured_at);
         if before.is_some_and(|before| before >= captured_at) {
             return None;
         }
         let (_, tracks) = self.markers.see(image, captured_at, None);
         let step_s = before.map_or(0.0, |before| captured_at - before);
-        let command = self.follower.step(tracks, step_s);
+        let command = self.follower.step(tracks, obstacles, step_s);
         let moment = StationMoment {
             captured_at,
             command,

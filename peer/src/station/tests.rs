@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use camera::{Calibration, Image};
 use geometry::Timestamp;
+use keeping::Obstacle;
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -67,7 +68,7 @@ fn the_loop_closes_over_rendered_lights() {
     let mut seen_count = 0;
     for idx in 0..300 {
         let image = picture(ahead_m, left_m, idx as u64);
-        let moment = keeper.see(stamp(idx), &image).unwrap();
+        let moment = keeper.see(stamp(idx), &image, &[]).unwrap();
         seen_count += usize::from(moment.command.seen.is_some());
         velocity += (moment.command.velocity - velocity) * (1.0 - (-0.1 / 0.3_f64).exp());
         ahead_m -= 0.1 * velocity.x;
@@ -86,7 +87,7 @@ fn a_camera_that_falls_silent_lets_the_velocity_decay() {
     let mut keeper = StationKeeper::new(&settings(), &calibration()).unwrap();
     assert_eq!(keeper.velocity_at(stamp(0)), Vector3::zeros());
     for idx in 0..10 {
-        keeper.see(stamp(idx), &picture(2.6, 0.5, idx as u64));
+        keeper.see(stamp(idx), &picture(2.6, 0.5, idx as u64), &[]);
     }
     let flying = keeper.velocity_at(stamp(9));
     assert!(flying.norm() > 0.2, "{flying:?}");
@@ -97,9 +98,9 @@ fn a_camera_that_falls_silent_lets_the_velocity_decay() {
 #[test]
 fn an_image_from_the_past_changes_nothing() {
     let mut keeper = StationKeeper::new(&settings(), &calibration()).unwrap();
-    keeper.see(stamp(5), &picture(2.6, 0.5, 1));
-    assert_eq!(keeper.see(stamp(5), &picture(1.0, 0.0, 2)), None);
-    assert_eq!(keeper.see(stamp(3), &picture(1.0, 0.0, 2)), None);
+    keeper.see(stamp(5), &picture(2.6, 0.5, 1), &[]);
+    assert_eq!(keeper.see(stamp(5), &picture(1.0, 0.0, 2), &[]), None);
+    assert_eq!(keeper.see(stamp(3), &picture(1.0, 0.0, 2), &[]), None);
 }
 
 #[test]
@@ -159,6 +160,33 @@ fn images_are_answered_and_velocities_go_on_between_them() {
         before = now;
     }
     assert!(station.finish().is_some());
+}
+
+/// Goal: obstacles are heeded while they are known, and no longer. Method: the same picture,
+/// with a wall beside the vehicle that was told of now, long ago, and never.
+#[test]
+fn obstacles_that_were_told_of_are_heeded_while_they_are_new() {
+    let left_mps = |told_at: Option<Timestamp>| {
+        let (station, velocities) = start();
+        let window = station.window();
+        if let Some(told_at) = told_at {
+            let wall = Obstacle {
+                direction: Vector3::y(),
+                clearance_m: 0.4,
+            };
+            window.tell(told_at, vec![wall]);
+        }
+        for idx in 50..55 {
+            window.show(stamp(idx), picture(2.0, 0.8, idx as u64));
+            window.wait_until_answered();
+        }
+        let last = velocities.try_iter().find(|(now, _)| *now == stamp(54));
+        last.unwrap().1.y
+    };
+    assert!(left_mps(Some(stamp(52))) < 1e-6);
+    let free = left_mps(None);
+    assert!(free > 0.2, "{free}");
+    assert_eq!(left_mps(Some(stamp(10))), free);
 }
 
 #[test]

@@ -68,7 +68,7 @@ fn places(
         let late = std::mem::replace(
             &mut command,
             follower
-                .step(track_at(&place, 1).as_slice(), STEP_S)
+                .step(track_at(&place, 1).as_slice(), &[], STEP_S)
                 .velocity,
         );
         velocity += (late - velocity) * (1.0 - (-STEP_S / 0.3_f64).exp());
@@ -129,7 +129,7 @@ fn who_comes_near_is_backed_away_from_slowly() {
     let near = track_at(&Vector3::new(0.6, 0.0, 0.0), 1);
     let mut follower = GuardedFollower::new(settings, camera(), looking_ahead());
     for _ in 0..5 {
-        let velocity = follower.step(near.as_slice(), STEP_S).velocity;
+        let velocity = follower.step(near.as_slice(), &[], STEP_S).velocity;
         assert!((velocity.x + settings.backward_mps_max).abs() < 1e-12);
     }
 }
@@ -138,11 +138,11 @@ fn who_comes_near_is_backed_away_from_slowly() {
 fn a_third_vehicle_on_the_way_is_kept_clear_of_and_not_followed() {
     let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
     let leader = track_at(&Vector3::new(3.0, 0.0, 0.0), 1).unwrap();
-    let free = follower.step(&[leader], STEP_S).velocity;
+    let free = follower.step(&[leader], &[], STEP_S).velocity;
     assert!(free.x > 0.3, "{free:?}");
     let third = track_at(&Vector3::new(0.9, 0.1, 0.0), 2).unwrap();
     for _ in 0..10 {
-        let command = follower.step(&[third, leader], STEP_S);
+        let command = follower.step(&[third, leader], &[], STEP_S);
         assert_eq!(command.seen.unwrap().separation_px, leader.separation_px);
         assert!(command.velocity.x < 0.1, "{command:?}");
     }
@@ -152,11 +152,11 @@ fn a_third_vehicle_on_the_way_is_kept_clear_of_and_not_followed() {
 fn lost_lights_let_the_command_decay() {
     let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
     let far = track_at(&Vector3::new(3.0, 0.8, 0.0), 1);
-    assert!(follower.step(far.as_slice(), STEP_S).velocity.norm() > 0.3);
+    assert!(follower.step(far.as_slice(), &[], STEP_S).velocity.norm() > 0.3);
     for _ in 0..20 {
-        follower.step(&[], STEP_S);
+        follower.step(&[], &[], STEP_S);
     }
-    let command = follower.step(&[], STEP_S);
+    let command = follower.step(&[], &[], STEP_S);
     assert_eq!(command.seen, None);
     assert!(command.velocity.norm() < 0.01, "{command:?}");
 }
@@ -165,11 +165,29 @@ fn lost_lights_let_the_command_decay() {
 fn a_track_of_a_few_images_ago_is_held_and_not_measured_again() {
     let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
     let mut track = track_at(&Vector3::new(2.5, 0.0, 0.0), 1).unwrap();
-    let first = follower.step(&[track], STEP_S);
+    let first = follower.step(&[track], &[], STEP_S);
     track.state = TrackState::Coast;
-    let held = follower.step(&[track], STEP_S);
+    let held = follower.step(&[track], &[], STEP_S);
     assert_eq!(held.seen, None);
     assert_eq!(held.velocity, first.velocity);
     track.state = TrackState::Acquire;
-    assert_eq!(follower.step(&[track], STEP_S).seen, None);
+    assert_eq!(follower.step(&[track], &[], STEP_S).seen, None);
+}
+
+#[test]
+fn an_obstacle_beside_the_place_stops_the_vehicle() {
+    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let aside = track_at(&Vector3::new(1.8, 1.2, 0.0), 1);
+    let free = follower.step(aside.as_slice(), &[], STEP_S).velocity;
+    assert!(free.y > 0.3, "{free:?}");
+    let mut wall = Obstacle {
+        direction: Vector3::y(),
+        clearance_m: 0.5,
+    };
+    let slow = follower.step(aside.as_slice(), &[wall], STEP_S).velocity;
+    assert!(slow.y <= 0.1 + 1e-9, "{slow:?}");
+    // Nearer than it may be, and still not driven away from what may be an error of the map.
+    wall.clearance_m = 0.1;
+    let stopped = follower.step(aside.as_slice(), &[wall], STEP_S).velocity;
+    assert!(stopped.y.abs() < 1e-9, "{stopped:?}");
 }
