@@ -14,8 +14,9 @@ pub mod swarm;
 mod world;
 
 pub use conditioner::{Conditioner, Cut, Traffic};
+pub use marker_light::MarkerLights;
 pub use position_source::PositionSourceSettings;
-pub use renderer::{Renderer, Scene, SensorSettings, Shot, gain_at};
+pub use renderer::{Neighbour, Renderer, Scene, SensorSettings, Shot, gain_at};
 pub use route::{Motion, Route};
 pub use scenario::{Scenario, ScenarioName, Vehicle, VehicleDescription};
 pub use serve::{

@@ -5,11 +5,26 @@
 mod scene;
 
 use camera::Image;
+use nalgebra::Vector3;
 use rand::Rng;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
 pub use scene::{MarkerFrame, MarkerScene, TruePair};
+
+/// A vehicle's two lights, one above the other in its body's frame, with the origin between them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarkerLights {
+    /// From one to the other.
+    pub length_m: f64,
+}
+
+impl MarkerLights {
+    /// The upper light, then the lower one.
+    pub fn positions_in_body(&self) -> [Vector3<f64>; 2] {
+        [0.5, -0.5].map(|side| Vector3::z() * (side * self.length_m))
+    }
+}
 
 /// A light that is smaller than a pixel, spread by the lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -127,32 +142,7 @@ impl Irradiance {
 
     /// Adds a light; what sticks out is cut off.
     pub fn add_spot(&mut self, spot: &LightSpot) {
-        let streak_length = spot.streak_px[0].hypot(spot.streak_px[1]);
-        // Steps of a third of a sigma are as smooth as the integral.
-        let step_count = (3.0 * streak_length / spot.sigma_px).ceil().max(1.0) as usize;
-        for step in 0..step_count {
-            let along = (step as f64 + 0.5) / step_count as f64 - 0.5;
-            let center: [f64; 2] =
-                std::array::from_fn(|axis| spot.center_px[axis] + along * spot.streak_px[axis]);
-            self.add_still_spot(center, spot.sigma_px, spot.peak / step_count as f64);
-        }
-    }
-
-    fn add_still_spot(&mut self, center_px: [f64; 2], sigma_px: f64, peak: f64) {
-        let reach = SPOT_REACH_SIGMAS * sigma_px;
-        let range = |center: f64, end: usize| {
-            let start = (center - reach).ceil().max(0.0) as usize;
-            let stop = (center + reach + 1.0).floor().max(0.0) as usize;
-            start.min(end)..stop.min(end)
-        };
-        let falloff = |offset: f64| (-0.5 * (offset / sigma_px).powi(2)).exp();
-        for y in range(center_px[1], self.height) {
-            let row_peak = peak * falloff(y as f64 - center_px[1]);
-            for x in range(center_px[0], self.width) {
-                let level = row_peak * falloff(x as f64 - center_px[0]);
-                self.levels[y * self.width + x] += level as f32;
-            }
-        }
+        add_spot(&mut self.levels, self.width, spot);
     }
 
     /// The picture that the sensor gives.
@@ -165,6 +155,44 @@ impl Irradiance {
         let pixels = self.levels.iter().map(expose_pixel).collect();
         Image::from_pixels(self.width, self.height, pixels)
             .expect("there is one level for each pixel")
+    }
+}
+
+/// Adds a light to levels that lie row by row; what sticks out is cut off.
+pub(crate) fn add_spot(levels: &mut [f32], width: usize, spot: &LightSpot) {
+    let streak_length = spot.streak_px[0].hypot(spot.streak_px[1]);
+    // Steps of a third of a sigma are as smooth as the integral.
+    let step_count = (3.0 * streak_length / spot.sigma_px).ceil().max(1.0) as usize;
+    for step in 0..step_count {
+        let along = (step as f64 + 0.5) / step_count as f64 - 0.5;
+        let still = LightSpot {
+            center_px: std::array::from_fn(|axis| {
+                spot.center_px[axis] + along * spot.streak_px[axis]
+            }),
+            peak: spot.peak / step_count as f64,
+            ..*spot
+        };
+        add_still_spot(levels, width, &still);
+    }
+}
+
+fn add_still_spot(levels: &mut [f32], width: usize, spot: &LightSpot) {
+    let reach = SPOT_REACH_SIGMAS * spot.sigma_px;
+    let range = |center: f64, end: usize| {
+        let start = (center - reach).ceil().max(0.0) as usize;
+        let stop = (center + reach + 1.0).floor().max(0.0) as usize;
+        start.min(end)..stop.min(end)
+    };
+    let falloff = |offset: f64| (-0.5 * (offset / spot.sigma_px).powi(2)).exp();
+    for y in range(
+        spot.center_px[1],
+        levels.len().checked_div(width).unwrap_or(0),
+    ) {
+        let row_peak = spot.peak * falloff(y as f64 - spot.center_px[1]);
+        for x in range(spot.center_px[0], width) {
+            let level = row_peak * falloff(x as f64 - spot.center_px[0]);
+            levels[y * width + x] += level as f32;
+        }
     }
 }
 

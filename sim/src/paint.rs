@@ -25,6 +25,16 @@ pub fn paint(world: &World, panel: &Panel) -> Canvas {
     canvas
 }
 
+/// Paints one panel of a vehicle's hull: dark, and the same from wherever light comes.
+pub fn paint_hull(panel: &Panel) -> Canvas {
+    let mut rng = ChaCha8Rng::seed_from_u64(panel.seed);
+    let mut canvas = Canvas::new(panel.width_m, panel.height_m, texel_m(panel.finish));
+    finish::apply(panel.finish, &mut canvas, &mut rng);
+    let light = 0.25 + 0.08 * panel.normal().z as f32;
+    canvas.light(&|_, _| light);
+    canvas
+}
+
 /// The edge of a texel: fine enough that a camera at half a metre sees detail.
 fn texel_m(finish: Finish) -> f64 {
     match finish {

@@ -7,27 +7,34 @@
 
 mod facets;
 mod lens;
+mod lights;
 mod sensor;
 mod tiles;
 
 use std::sync::Arc;
 
 use camera::{CameraModel, Image};
-use geometry::{Camera, Enu, Transform};
+use geometry::{Body, Camera, Enu, Transform};
 use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 
-use crate::paint::paint;
+use crate::marker_light::MarkerLights;
+use crate::paint::{paint, paint_hull};
 use crate::picture::{LANES, Picture};
-use crate::world::{Panel, World};
+use crate::world::{Cuboid, Finish, Panel, World};
 use facets::Facet;
 use lens::Lens;
 use sensor::Sensor;
 pub use sensor::{SensorSettings, gain_at};
 use tiles::Tiles;
 
-/// A painted world.
+/// A painted world, and the hulls of those who move in it.
 pub struct Scene {
     panels: Vec<Panel>,
+    /// In the frame of the body that they belong to.
+    hulls: Vec<Vec<Panel>>,
+    /// Of all panels, then of all hulls.
     pictures: Vec<Picture>,
 }
 
@@ -38,8 +45,35 @@ impl Scene {
         Self {
             pictures: world.panels.iter().map(paint_panel).collect(),
             panels: world.panels.clone(),
+            hulls: Vec::new(),
         }
     }
+
+    /// The same with hulls, each of boxes in its body's frame.
+    pub fn with_hulls<'a>(mut self, hulls: impl IntoIterator<Item = &'a [Cuboid]>) -> Self {
+        for cuboids in hulls {
+            let panels = hull_panels(cuboids, self.hulls.len() as u64);
+            let painted = panels.iter().map(|panel| Picture::new(&paint_hull(panel)));
+            self.pictures.extend(painted);
+            self.hulls.push(panels);
+        }
+        self
+    }
+}
+
+fn hull_panels(cuboids: &[Cuboid], hull_idx: u64) -> Vec<Panel> {
+    let mut rng = ChaCha8Rng::seed_from_u64(hull_idx ^ 0x1ab0_0003);
+    let faces = |cuboid: &Cuboid| cuboid.all_faces(Finish::Metal, &mut rng);
+    cuboids.iter().flat_map(faces).collect()
+}
+
+/// Another vehicle that a camera may see.
+#[derive(Clone, Copy, Debug)]
+pub struct Neighbour {
+    /// Which of the scene's hulls it has.
+    pub hull_idx: usize,
+    pub site_from_body: Transform<Enu, Body>,
+    pub lights: Option<MarkerLights>,
 }
 
 /// Where the camera is at the middle of an exposure, and how it moves.
@@ -58,6 +92,7 @@ pub struct Shot {
 /// A camera in a scene. Buffers are kept between frames.
 pub struct Renderer {
     scene: Arc<Scene>,
+    camera: CameraModel,
     lens: Lens,
     sensor: Sensor,
     tiles: Tiles,
@@ -78,6 +113,7 @@ impl Renderer {
             tiles: Tiles::new(&lens),
             shades: vec![0.0; lens.stride() * (lens.height + 2 * MARGIN_PX)],
             facets: Vec::new(),
+            camera: camera.clone(),
             scene,
             lens,
         }
@@ -85,12 +121,13 @@ impl Renderer {
 
     /// One frame, with blur, vignette and noise. The same shot gives the same bytes.
     pub fn render(&mut self, shot: &Shot) -> Image {
+        self.render_among(shot, &[])
+    }
+
+    /// [`Renderer::render`] with other vehicles: their hulls and their lights.
+    pub fn render_among(&mut self, shot: &Shot, neighbours: &[Neighbour]) -> Image {
         let camera_from_site = shot.site_from_camera.inverse();
-        self.facets.clear();
-        for (panel_idx, panel) in self.scene.panels.iter().enumerate() {
-            let facet = Facet::new(panel, panel_idx, &camera_from_site, &self.lens);
-            self.facets.extend(facet);
-        }
+        self.find_facets(&camera_from_site, neighbours);
         self.tiles.sort(&self.facets);
         self.tiles.shade(
             &self.facets,
@@ -99,8 +136,33 @@ impl Renderer {
             &mut self.shades,
         );
         self.lens.fill_margin(&mut self.shades);
+        for neighbour in neighbours {
+            let camera_from_body = camera_from_site * neighbour.site_from_body;
+            let lights = neighbour.lights.iter();
+            for position in lights.flat_map(MarkerLights::positions_in_body) {
+                self.add_light(&(camera_from_body * position));
+            }
+        }
         self.sensor
             .expose(shot, &self.lens, &self.tiles, &self.shades)
+    }
+
+    fn find_facets(&mut self, camera_from_site: &Transform<Camera, Enu>, neighbours: &[Neighbour]) {
+        let Scene { panels, hulls, .. } = &*self.scene;
+        self.facets.clear();
+        for (picture_idx, panel) in panels.iter().enumerate() {
+            let facet = Facet::new(panel, picture_idx, camera_from_site, &self.lens);
+            self.facets.extend(facet);
+        }
+        for neighbour in neighbours {
+            let before = &hulls[..neighbour.hull_idx];
+            let first_idx = panels.len() + before.iter().map(Vec::len).sum::<usize>();
+            let camera_from_body = *camera_from_site * neighbour.site_from_body;
+            for (idx, panel) in hulls[neighbour.hull_idx].iter().enumerate() {
+                let facet = Facet::new(panel, first_idx + idx, &camera_from_body, &self.lens);
+                self.facets.extend(facet);
+            }
+        }
     }
 }
 

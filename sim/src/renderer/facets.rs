@@ -1,6 +1,6 @@
 //! Panels as one camera sees them.
 
-use geometry::{Camera, Enu, Transform};
+use geometry::{Camera, Transform};
 use nalgebra::Vector3;
 
 use super::lens::{Lens, Window};
@@ -42,7 +42,7 @@ impl Form {
 /// A panel in front of a camera.
 #[derive(Clone, Debug)]
 pub struct Facet {
-    pub panel_idx: usize,
+    pub picture_idx: usize,
     /// 1/z of the panel's plane.
     pub inverse_depth: Form,
     /// Metres right of the panel's corner, over z.
@@ -70,16 +70,17 @@ pub struct Cover {
 const NEAR_M: f64 = 0.03;
 
 impl Facet {
-    /// The facet, unless the panel turns its back or lies out of view.
-    pub fn new(
+    /// The facet, unless the panel turns its back or lies out of view. The panel is in the frame
+    /// of what it belongs to.
+    pub fn new<Owner>(
         panel: &Panel,
-        panel_idx: usize,
-        camera_from_site: &Transform<Camera, Enu>,
+        picture_idx: usize,
+        camera_from_owner: &Transform<Camera, Owner>,
         lens: &Lens,
     ) -> Option<Self> {
-        let corner = *camera_from_site * panel.corner;
-        let right = camera_from_site.rotation() * panel.right;
-        let down = camera_from_site.rotation() * panel.down;
+        let corner = *camera_from_owner * panel.corner;
+        let right = camera_from_owner.rotation() * panel.right;
+        let down = camera_from_owner.rotation() * panel.down;
         let inward = right.cross(&down);
         let distance_m = inward.dot(&corner);
         if distance_m < 1e-4 {
@@ -90,7 +91,7 @@ impl Facet {
         let right_over_depth = right - inverse_depth * right.dot(&corner);
         let down_over_depth = down - inverse_depth * down.dot(&corner);
         let facet = Self {
-            panel_idx,
+            picture_idx,
             inverse_depth: Form::new(&inverse_depth),
             right: Form::new(&right_over_depth),
             down: Form::new(&down_over_depth),
@@ -129,6 +130,12 @@ impl Facet {
             inverse_depth_min: inverse_depth - reach,
             inverse_depth_max: inverse_depth + reach,
         })
+    }
+
+    /// Whether a point on this ray with this 1/z is behind the facet.
+    pub fn hides(&self, ray: [f32; 2], inverse_depth: f32) -> bool {
+        self.inverse_depth.at(ray) > inverse_depth
+            && self.edges.iter().all(|edge| edge.at(ray) >= 0.0)
     }
 
     /// Adds to `shades` what pixels with these rays see, times their weights; beyond the facet's

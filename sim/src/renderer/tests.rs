@@ -34,6 +34,7 @@ fn scene(shade: impl Fn(f64, f64) -> f32) -> Arc<Scene> {
     canvas.paint_each(&shade);
     Arc::new(Scene {
         panels: vec![panel],
+        hulls: Vec::new(),
         pictures: vec![Picture::new(&canvas)],
     })
 }

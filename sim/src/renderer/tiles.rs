@@ -64,6 +64,20 @@ impl Tiles {
         self.inverse_depths[tile_idx]
     }
 
+    /// Whether a sorted facet hides a point on a ray with this 1/z from a pixel inside.
+    pub fn hides(
+        &self,
+        facets: &[Facet],
+        [x, y]: [usize; 2],
+        ray: [f32; 2],
+        inverse_depth: f32,
+    ) -> bool {
+        let tile_idx = y / TILE_PX * self.column_windows.len() + x / TILE_PX;
+        self.candidates[tile_idx]
+            .iter()
+            .any(|candidate| facets[candidate.facet_idx as usize].hides(ray, inverse_depth))
+    }
+
     /// Finds the facets that each tile may see, without those behind one that fills it.
     pub fn sort(&mut self, facets: &[Facet]) {
         for candidates in &mut self.candidates {
@@ -105,7 +119,7 @@ impl Tiles {
             self.inverse_depths[tile_idx] = match candidates.as_slice() {
                 [only] if only.cover.fills => {
                     let facet = &facets[only.facet_idx as usize];
-                    let picture = &pictures[facet.panel_idx];
+                    let picture = &pictures[facet.picture_idx];
                     shade_filled(facet, picture, lens, tile_idx, shades);
                     0.5 * (only.cover.inverse_depth_min + only.cover.inverse_depth_max)
                 }
@@ -220,7 +234,7 @@ impl SharedTile<'_> {
                 weights[lane] = count / hit_counts[lane].max(1.0);
             }
             if weights.iter().sum::<f32>() > 0.0 {
-                facet.add_shades(&self.pictures[facet.panel_idx], rays, &weights, row);
+                facet.add_shades(&self.pictures[facet.picture_idx], rays, &weights, row);
             }
         }
         nearest

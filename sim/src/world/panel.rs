@@ -76,20 +76,30 @@ impl Cuboid {
 
     /// The faces that can be seen from outside: sides and top, and the bottom if it hangs.
     pub fn outer_faces(&self, finish: Finish, rng: &mut impl Rng) -> Vec<Panel> {
-        let mut normals = vec![
-            Vector3::x(),
-            Vector3::y(),
-            -Vector3::x(),
-            -Vector3::y(),
-            Vector3::z(),
-        ];
+        let mut faces = self.sides_and_top(finish, rng);
         if self.centre.z - self.half.z > 0.05 {
-            normals.push(-Vector3::z());
+            faces.push(self.bottom(finish, rng));
         }
+        faces
+    }
+
+    /// All six faces, as seen from outside.
+    pub fn all_faces(&self, finish: Finish, rng: &mut impl Rng) -> Vec<Panel> {
+        let mut faces = self.sides_and_top(finish, rng);
+        faces.push(self.bottom(finish, rng));
+        faces
+    }
+
+    fn sides_and_top(&self, finish: Finish, rng: &mut impl Rng) -> Vec<Panel> {
+        let sides = [Vector3::x(), Vector3::y(), -Vector3::x(), -Vector3::y()];
+        let normals = sides.into_iter().chain([Vector3::z()]);
         normals
-            .into_iter()
             .map(|normal| self.face(normal, normal, finish, rng.random()))
             .collect()
+    }
+
+    fn bottom(&self, finish: Finish, rng: &mut impl Rng) -> Panel {
+        self.face(-Vector3::z(), -Vector3::z(), finish, rng.random())
     }
 
     /// The face on the side of `outward`, as seen from within.
