@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod conditioner;
+mod flight;
 pub mod marker_light;
 mod paint;
 mod picture;
@@ -14,6 +15,7 @@ pub mod swarm;
 mod world;
 
 pub use conditioner::{Conditioner, Cut, Traffic};
+pub use flight::Flight;
 pub use marker_light::MarkerLights;
 pub use position_source::PositionSourceSettings;
 pub use renderer::{Neighbour, Renderer, Scene, SensorSettings, Shot, gain_at};

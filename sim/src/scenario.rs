@@ -9,11 +9,12 @@ use geometry::{Body, Camera, Enu, Timestamp, Transform};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::marker_light::MarkerLights;
 use crate::position_source::PositionSourceSettings;
-use crate::renderer::{SensorSettings, Shot, gain_at};
-use crate::route::Route;
+use crate::renderer::{Neighbour, Scene, SensorSettings, Shot, gain_at};
+use crate::route::{Motion, Route};
 use crate::stream::Fix;
-use crate::world::World;
+use crate::world::{Cuboid, World};
 
 /// The scenarios that can be asked for by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,6 +34,10 @@ pub struct VehicleDescription {
     pub body_from_camera: Transform<Body, Camera>,
     /// Whether fixes come; they are positions of the camera's centre in the site frame.
     pub has_position_source: bool,
+    /// What others see it by.
+    pub lights: Option<MarkerLights>,
+    /// Whether it holds its place among the others, flown by the velocities that it commands.
+    pub keeps_place: bool,
 }
 
 impl ScenarioName {
@@ -64,7 +69,11 @@ pub struct Scenario {
 pub struct Vehicle {
     pub description: VehicleDescription,
     pub sensor: SensorSettings,
+    /// Where it goes by itself. One that keeps its place is carried away from there by its
+    /// commands: see [`crate::Flight`].
     pub route: Route,
+    /// What others see of it, in its body's frame.
+    pub hull: Vec<Cuboid>,
 }
 
 /// The clock of every vehicle says this when the routes begin.
@@ -87,6 +96,10 @@ impl Scenario {
             seed,
             vehicles: vehicles
                 .map(|(description, route)| Vehicle {
+                    hull: match description.lights {
+                        Some(lights) => lab::drone_hull(&lights),
+                        None => lab::ground_vehicle_hull(),
+                    },
                     description,
                     sensor: SensorSettings::default(),
                     route,
@@ -99,6 +112,12 @@ impl Scenario {
         }
     }
 
+    /// The world as cameras see it, with the hulls of its vehicles; this takes about a second.
+    pub fn paint(&self) -> Scene {
+        let hulls = self.vehicles.iter().map(|vehicle| vehicle.hull.as_slice());
+        Scene::paint(&self.world).with_hulls(hulls)
+    }
+
     /// When a frame is captured, in seconds since the start.
     pub fn frame_time_s(&self, frame_idx: usize) -> f64 {
         frame_idx as f64 / self.frame_rate_hz
@@ -109,18 +128,22 @@ impl Scenario {
         START.after(Duration::from_secs_f64(time_s.max(0.0)))
     }
 
-    /// Where a vehicle's camera truly is.
+    /// Where a vehicle's camera is on its route.
     pub fn site_from_camera(&self, vehicle_idx: usize, time_s: f64) -> Transform<Enu, Camera> {
         let vehicle = &self.vehicles[vehicle_idx];
         vehicle.route.pose(time_s) * vehicle.description.body_from_camera
     }
 
-    /// All that a vehicle's camera needs for a frame.
+    /// All that a vehicle's camera needs for a frame on its route.
     pub fn shot(&self, vehicle_idx: usize, frame_idx: usize) -> Shot {
         let time_s = self.frame_time_s(frame_idx);
-        let vehicle = &self.vehicles[vehicle_idx];
-        let motion = vehicle.route.motion(time_s);
-        let body_from_camera = &vehicle.description.body_from_camera;
+        let motion = self.vehicles[vehicle_idx].route.motion(time_s);
+        self.shot_in_motion(vehicle_idx, frame_idx, &motion)
+    }
+
+    /// All that a vehicle's camera needs for a frame when the vehicle moves like this.
+    pub fn shot_in_motion(&self, vehicle_idx: usize, frame_idx: usize, motion: &Motion) -> Shot {
+        let body_from_camera = &self.vehicles[vehicle_idx].description.body_from_camera;
         let site_from_camera = motion.site_from_body * *body_from_camera;
         let camera_from_body = body_from_camera.rotation().inverse();
         let phase_rad = (self.seed % 64) as f64 + 2.0 * vehicle_idx as f64;
@@ -129,9 +152,22 @@ impl Scenario {
             // The body's origin is the camera's centre.
             velocity_in_camera: site_from_camera.rotation().inverse() * motion.velocity_in_site,
             rotation_rate_in_camera: camera_from_body * motion.rotation_rate_in_body,
-            gain: gain_at(time_s, phase_rad),
+            gain: gain_at(self.frame_time_s(frame_idx), phase_rad),
             noise_seed: self.seed.rotate_left(40) ^ ((vehicle_idx as u64) << 32) ^ frame_idx as u64,
         }
+    }
+
+    /// The other vehicles as one of them may see them.
+    pub fn neighbours(&self, vehicle_idx: usize, motions: &[Motion]) -> Vec<Neighbour> {
+        let others = motions.iter().enumerate();
+        others
+            .filter(|(other_idx, _)| *other_idx != vehicle_idx)
+            .map(|(other_idx, motion)| Neighbour {
+                hull_idx: other_idx,
+                site_from_body: motion.site_from_body,
+                lights: self.vehicles[other_idx].description.lights,
+            })
+            .collect()
     }
 
     /// The fixes of a vehicle in the order of their stamps; none without a position source.
@@ -153,24 +189,35 @@ impl Scenario {
 }
 
 fn lab_vehicles() -> Vec<VehicleDescription> {
-    let drone = |id| VehicleDescription {
+    let drone = |id, keeps_place| VehicleDescription {
         id,
         camera: drone_camera(),
         body_from_camera: mounted(0.0, DRONE_PITCH_DOWN_RAD),
         has_position_source: false,
+        lights: Some(MarkerLights { length_m: 0.1 }),
+        keeps_place,
     };
     let ground_vehicle = VehicleDescription {
         id: "ugv1",
         camera: ground_vehicle_camera(),
-        body_from_camera: mounted(-std::f64::consts::FRAC_PI_2, GROUND_VEHICLE_PITCH_DOWN_RAD),
+        body_from_camera: mounted(GROUND_VEHICLE_YAW_RAD, GROUND_VEHICLE_PITCH_DOWN_RAD),
         has_position_source: true,
+        lights: None,
+        keeps_place: false,
     };
-    vec![ground_vehicle, drone("drone1"), drone("drone2")]
+    vec![
+        ground_vehicle,
+        drone("drone1", false),
+        drone("drone2", true),
+    ]
 }
 
 const DRONE_PITCH_DOWN_RAD: f64 = 0.14;
-/// The camera near the floor looks up a little.
-const GROUND_VEHICLE_PITCH_DOWN_RAD: f64 = -0.09;
+/// To the right, and back a little: where it turns the first corner it still sees the wall that
+/// the drones look at.
+const GROUND_VEHICLE_YAW_RAD: f64 = -std::f64::consts::FRAC_PI_2 - 0.2;
+/// The camera near the floor looks up to where the drones look.
+const GROUND_VEHICLE_PITCH_DOWN_RAD: f64 = -0.25;
 
 /// The paper's drone, eq. 7. Its o_y lies far below the middle of the image and is kept.
 fn drone_camera() -> CameraModel {
