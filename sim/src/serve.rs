@@ -2,23 +2,26 @@
 
 mod link;
 mod pacer;
+mod render;
 mod truth;
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use camera::Image;
+use geometry::Timestamp;
 use serde::Serialize;
 
-use crate::renderer::{Renderer, Scene};
+use crate::flight::Flight;
+use crate::route::Motion;
 use crate::scenario::{Scenario, ScenarioName};
 use crate::stream::Fix;
 use link::Link;
 use pacer::Pacer;
+use render::Request;
 
 /// What to serve, and how.
 #[derive(Clone, Debug)]
@@ -138,7 +141,9 @@ pub enum ServeError {
 ///
 /// Each vehicle gets a loopback listener on a free port; `observe` hears of them first.
 /// All frames of one instant go out together, and the next instant waits until every vehicle
-/// has acknowledged; meanwhile the next frames are rendered on one other thread.
+/// has acknowledged; meanwhile the next one is flown and rendered, on one other thread. So what
+/// a vehicle commands before it acknowledges a frame acts from the next frame on, and is seen in
+/// the one after that.
 /// A vehicle that dies, or never comes, does not stop the others.
 pub fn serve(
     settings: &ServeSettings,
@@ -159,75 +164,47 @@ fn serve_scenario(
     for vehicle_idx in 0..scenario.vehicles.len() {
         vehicles.push(ServedVehicle::new(scenario, vehicle_idx));
     }
-    let wanted: Vec<AtomicBool> = vehicles.iter().map(|_| AtomicBool::new(true)).collect();
     thread::scope(|scope| {
-        // The scene is painted while the vehicles connect.
+        let (requests, requested) = sync_channel(1);
         let (sender, frames) = sync_channel(1);
-        let renders = scope.spawn(|| render_all(scenario, frame_count, &wanted, sender));
+        let renders = scope.spawn(|| render::render_all(scenario, requested, sender));
         let mut service = Service {
             settings,
             scenario,
-            wanted: &wanted,
             observe,
             vehicles,
+            flight: Flight::new(scenario),
+            frame_count,
+            requests,
         };
-        service.connect(frame_count)?;
+        // The scene is painted while the vehicles connect.
+        let mut motions = service.fly_to(0);
+        service.connect()?;
         let mut pacer = Pacer::new(settings.pace, 1.0 / scenario.frame_rate_hz);
         let mut frames_done = 0;
         let mut start = None;
-        // Paused until the first images are there: painting is not part of the mission.
-        while let Ok(images) = frames.recv() {
+        while frames_done < frame_count {
+            // Paused until the first images are there: painting is not part of the mission.
+            let Ok(images) = frames.recv() else { break };
             let start = *start.get_or_insert_with(Instant::now);
             pacer.wait();
-            if settings.is_end_wished() || !service.step(frames_done, &images) {
+            if settings.is_end_wished() {
+                break;
+            }
+            service.send(frames_done, &images, &motions);
+            motions = service.fly_to(frames_done + 1);
+            if !service.await_acknowledgements(frames_done) {
                 break;
             }
             frames_done += 1;
             service.observe_frame(frames_done - 1, start.elapsed());
         }
-        drop(frames);
         let wall_s = start.map_or(0.0, |start: Instant| start.elapsed().as_secs_f64());
+        // The thread ends once nobody can ask it for frames.
         let report = service.finish(frames_done, wall_s);
-        // The thread ends on its own once nobody takes its frames.
         let _ = renders.join();
         Ok(report)
     })
-}
-
-/// Renders every frame for every vehicle that still wants it.
-fn render_all(
-    scenario: &Scenario,
-    frame_count: usize,
-    wanted: &[AtomicBool],
-    frames: SyncSender<Vec<Option<Image>>>,
-) {
-    let scene = Arc::new(Scene::paint(&scenario.world));
-    let mut renderers: Vec<Renderer> = scenario
-        .vehicles
-        .iter()
-        .map(|vehicle| {
-            Renderer::new(
-                Arc::clone(&scene),
-                &vehicle.description.camera,
-                vehicle.sensor,
-            )
-        })
-        .collect();
-    for frame_idx in 0..frame_count {
-        let images = renderers
-            .iter_mut()
-            .zip(wanted)
-            .enumerate()
-            .map(|(vehicle_idx, (renderer, wanted))| {
-                let shot = scenario.shot(vehicle_idx, frame_idx);
-                let is_wanted = wanted.load(Ordering::Relaxed);
-                is_wanted.then(|| renderer.render(&shot))
-            })
-            .collect();
-        if frames.send(images).is_err() {
-            return;
-        }
-    }
 }
 
 /// The simulator's side of one vehicle.
@@ -235,6 +212,8 @@ struct ServedVehicle {
     report: VehicleReport,
     /// Not yet sent, in the order of their stamps.
     fixes: Vec<Fix>,
+    /// It may still connect.
+    is_awaited: bool,
     link: Option<Link>,
 }
 
@@ -251,6 +230,7 @@ impl ServedVehicle {
                 truth_tum: String::new(),
             },
             fixes: scenario.fixes(vehicle_idx),
+            is_awaited: true,
             link: None,
         }
     }
@@ -259,14 +239,15 @@ impl ServedVehicle {
 struct Service<'a> {
     settings: &'a ServeSettings,
     scenario: &'a Scenario,
-    /// Whether frames of a vehicle are still worth rendering.
-    wanted: &'a [AtomicBool],
     observe: &'a mut dyn FnMut(&ServeEvent),
     vehicles: Vec<ServedVehicle>,
+    flight: Flight<'a>,
+    frame_count: usize,
+    requests: SyncSender<Request>,
 }
 
 impl Service<'_> {
-    fn connect(&mut self, frame_count: usize) -> Result<(), ServeError> {
+    fn connect(&mut self) -> Result<(), ServeError> {
         let listeners = link::listen(self.vehicles.len())?;
         let vehicles = self.vehicles.iter().zip(&listeners);
         let event = ServeEvent::Listening {
@@ -276,7 +257,7 @@ impl Service<'_> {
                     address: *address,
                 })
                 .collect(),
-            frame_count,
+            frame_count: self.frame_count,
             frame_rate_hz: self.scenario.frame_rate_hz,
         };
         (self.observe)(&event);
@@ -297,7 +278,11 @@ impl Service<'_> {
                         .map_err(|error| error.to_string())
                 });
             match link {
-                Ok(link) => self.vehicles[vehicle_idx].link = Some(link),
+                Ok(link) => {
+                    let vehicle = &mut self.vehicles[vehicle_idx];
+                    vehicle.link = Some(link);
+                    vehicle.is_awaited = false;
+                }
                 Err(reason) => self.lose(vehicle_idx, reason),
             }
         }
@@ -305,10 +290,24 @@ impl Service<'_> {
         Ok(())
     }
 
-    /// Sends one frame to everyone and waits for everyone; false once nobody is left.
-    fn step(&mut self, frame_idx: usize, images: &[Option<Image>]) -> bool {
-        let time_s = self.scenario.frame_time_s(frame_idx);
-        let captured_at = self.scenario.timestamp(time_s);
+    /// Flies on with the commands that are known by now, and has the frame there rendered.
+    fn fly_to(&mut self, frame_idx: usize) -> Vec<Motion> {
+        let motions = self.flight.advance();
+        if frame_idx < self.frame_count {
+            let is_served = |vehicle: &ServedVehicle| vehicle.is_awaited || vehicle.link.is_some();
+            // A thread that has ended sends no images, which ends the route.
+            let _ = self.requests.send(Request {
+                frame_idx,
+                motions: motions.clone(),
+                wanted: self.vehicles.iter().map(is_served).collect(),
+            });
+        }
+        motions
+    }
+
+    /// Sends one frame to everyone.
+    fn send(&mut self, frame_idx: usize, images: &[Option<Image>], motions: &[Motion]) {
+        let captured_at = self.captured_at(frame_idx);
         for (vehicle_idx, image) in images.iter().enumerate() {
             let vehicle = &mut self.vehicles[vehicle_idx];
             let (Some(link), Some(image)) = (&mut vehicle.link, image) else {
@@ -324,24 +323,39 @@ impl Service<'_> {
                 Ok(()) => {
                     vehicle.report.frames_sent += 1;
                     vehicle.report.fixes_sent += fixes.len();
-                    let pose = self.scenario.site_from_camera(vehicle_idx, time_s);
-                    let line = truth::tum_line(captured_at, &pose);
-                    vehicle.report.truth_tum += &line;
+                    let description = &self.scenario.vehicles[vehicle_idx].description;
+                    let pose = motions[vehicle_idx].site_from_body * description.body_from_camera;
+                    vehicle.report.truth_tum += &truth::tum_line(captured_at, &pose);
                 }
                 Err(reason) => self.lose(vehicle_idx, reason),
             }
         }
+    }
+
+    /// Waits for everyone and takes what they command; false once nobody is left.
+    fn await_acknowledgements(&mut self, frame_idx: usize) -> bool {
+        let captured_at = self.captured_at(frame_idx);
         for vehicle_idx in 0..self.vehicles.len() {
             let vehicle = &mut self.vehicles[vehicle_idx];
             let Some(link) = &mut vehicle.link else {
                 continue;
             };
             match link.await_acknowledgement(captured_at) {
-                Ok(()) => vehicle.report.frames_acknowledged += 1,
+                Ok(velocity) => {
+                    vehicle.report.frames_acknowledged += 1;
+                    if let Some(velocity) = velocity {
+                        self.flight.command(vehicle_idx, &velocity, frame_idx);
+                    }
+                }
                 Err(reason) => self.lose(vehicle_idx, reason),
             }
         }
         self.vehicles.iter().any(|vehicle| vehicle.link.is_some())
+    }
+
+    fn captured_at(&self, frame_idx: usize) -> Timestamp {
+        let time_s = self.scenario.frame_time_s(frame_idx);
+        self.scenario.timestamp(time_s)
     }
 
     fn observe_frame(&mut self, frame_idx: usize, wall: Duration) {
@@ -355,10 +369,10 @@ impl Service<'_> {
     fn lose(&mut self, vehicle_idx: usize, reason: String) {
         let vehicle = &mut self.vehicles[vehicle_idx];
         vehicle.link = None;
+        vehicle.is_awaited = false;
         vehicle.report.ending = Ending::Lost {
             reason: reason.clone(),
         };
-        self.wanted[vehicle_idx].store(false, Ordering::Relaxed);
         let id = vehicle.report.id.clone();
         (self.observe)(&ServeEvent::VehicleLost { id, reason });
     }

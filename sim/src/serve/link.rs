@@ -1,6 +1,6 @@
 //! The connection to one vehicle.
 
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread;
@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use camera::Image;
 use geometry::Timestamp;
+use nalgebra::Vector3;
 
 use super::ServeError;
 use crate::stream::{self, Fix, Message};
@@ -101,15 +102,33 @@ fn is_timeout(error: &io::Error) -> bool {
 /// A vehicle that said hello. Every error is a reason to give it up.
 pub struct Link {
     stream: TcpStream,
+    timeout: Duration,
     bytes: Vec<u8>,
+}
+
+/// A stream that is read until a deadline, however little comes at a time.
+struct Patient<'a> {
+    stream: &'a TcpStream,
+    deadline: Instant,
+}
+
+impl Read for Patient<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = self.deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        self.stream.set_read_timeout(Some(left))?;
+        self.stream.read(buffer)
+    }
 }
 
 impl Link {
     pub fn new(stream: TcpStream, timeout: Duration) -> io::Result<Self> {
-        stream.set_read_timeout(Some(timeout))?;
         stream.set_write_timeout(Some(timeout))?;
         Ok(Self {
             stream,
+            timeout,
             bytes: Vec::new(),
         })
     }
@@ -131,22 +150,52 @@ impl Link {
             .map_err(|error| format!("cannot send: {error}"))
     }
 
-    pub fn await_acknowledgement(&mut self, expected: Timestamp) -> Result<(), String> {
-        match stream::read_message(&mut self.stream) {
-            Ok(Message::Acknowledgement { captured_at }) if captured_at == expected => Ok(()),
-            Ok(Message::Acknowledgement { captured_at }) => Err(format!(
-                "acknowledged the frame of {captured_at}, expected {expected}"
-            )),
-            Ok(_) => Err("sent something else than an acknowledgement".into()),
-            Err(stream::ReadError::Io(error)) if is_timeout(&error) => {
-                let patience = self.stream.read_timeout().ok().flatten();
-                let waited_s = patience.map_or(0.0, |patience| patience.as_secs_f64());
-                Err(format!("said nothing for {waited_s:.0} s"))
+    /// Waits until a frame is acknowledged: the newest velocity that was commanded until then, if
+    /// any was since the last one.
+    pub fn await_acknowledgement(
+        &mut self,
+        expected: Timestamp,
+    ) -> Result<Option<Vector3<f64>>, String> {
+        let mut reader = Patient {
+            stream: &self.stream,
+            deadline: Instant::now() + self.timeout,
+        };
+        let mut velocity_in_heading = None;
+        loop {
+            match stream::read_message(&mut reader) {
+                Ok(Message::Velocity(command)) => {
+                    velocity_in_heading = Some(command.velocity_in_heading);
+                }
+                Ok(Message::Acknowledgement { captured_at }) if captured_at == expected => {
+                    return Ok(velocity_in_heading);
+                }
+                Ok(Message::Acknowledgement { captured_at }) => {
+                    return Err(format!(
+                        "acknowledged the frame of {captured_at}, expected {expected}"
+                    ));
+                }
+                Ok(_) => {
+                    return Err("sent something else than a velocity or an acknowledgement".into());
+                }
+                Err(error) => return Err(self.why_lost(&error, velocity_in_heading.is_some())),
             }
-            Err(stream::ReadError::Io(error)) if error.kind() == io::ErrorKind::UnexpectedEof => {
-                Err("has left".into())
+        }
+    }
+
+    fn why_lost(&self, error: &stream::ReadError, has_spoken: bool) -> String {
+        match error {
+            stream::ReadError::Io(error) if is_timeout(error) => {
+                let waited_s = self.timeout.as_secs_f64();
+                if has_spoken {
+                    format!("commanded velocities, but acknowledged nothing for {waited_s:.0} s")
+                } else {
+                    format!("said nothing for {waited_s:.0} s")
+                }
             }
-            Err(error) => Err(format!("no acknowledgement: {error}")),
+            stream::ReadError::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+                "has left".into()
+            }
+            error => format!("no acknowledgement: {error}"),
         }
     }
 
