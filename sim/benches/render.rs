@@ -13,7 +13,7 @@ const STRIDE: usize = 37;
 
 fn render(criterion: &mut Criterion) {
     let scenario = Scenario::lab(1);
-    let scene = Arc::new(Scene::paint(&scenario.world));
+    let scene = Arc::new(scenario.paint());
     for (vehicle_idx, name) in [(0, "render/lab/640x360"), (1, "render/lab/324x244")] {
         let vehicle = &scenario.vehicles[vehicle_idx];
         let camera = &vehicle.description.camera;
@@ -22,7 +22,12 @@ fn render(criterion: &mut Criterion) {
         criterion.bench_function(name, |bencher| {
             bencher.iter(|| {
                 frame_idx = (frame_idx + STRIDE) % scenario.frame_count;
-                black_box(renderer.render(&scenario.shot(vehicle_idx, frame_idx)))
+                let time_s = scenario.frame_time_s(frame_idx);
+                let vehicles = scenario.vehicles.iter();
+                let motions: Vec<_> = vehicles.map(|v| v.route.motion(time_s)).collect();
+                let neighbours = scenario.neighbours(vehicle_idx, &motions);
+                let shot = scenario.shot(vehicle_idx, frame_idx);
+                black_box(renderer.render_among(&shot, &neighbours))
             });
         });
     }

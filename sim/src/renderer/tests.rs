@@ -279,3 +279,136 @@ fn contrast(image: &Image, left: usize, top: usize, width: usize, height: usize)
     let squares = shades.iter().map(|shade| (shade - mean).powi(2));
     (squares.sum::<f64>() / shades.len() as f64).sqrt()
 }
+
+/// A vehicle upright at this place, with lights well above and below its hull.
+fn neighbour(place: Vector3<f64>) -> Neighbour {
+    Neighbour {
+        hull_idx: 0,
+        site_from_body: Transform::new(UnitQuaternion::identity(), place),
+        lights: Some(MarkerLights { length_m: 0.3 }),
+    }
+}
+
+/// The board in grey, with a cube of 0.1 m as the only hull.
+fn scene_with_cube() -> Arc<Scene> {
+    let grey = Arc::into_inner(scene(|_, _| 120.0)).unwrap();
+    let cube = Cuboid {
+        centre: Vector3::zeros(),
+        half: Vector3::repeat(0.05),
+        yaw_rad: 0.0,
+    };
+    Arc::new(grey.with_hulls([[cube].as_slice()]))
+}
+
+/// Column and row of the centre of light in a part of an image, and its sum above 140.
+fn bright_centre(image: &Image, around: &Vector2<f64>) -> (Vector2<f64>, f64) {
+    let (mut sum, mut moment) = (0.0, Vector2::zeros());
+    let (cx, cy) = (around.x.round() as usize, around.y.round() as usize);
+    for y in cy - 4..=cy + 4 {
+        for x in cx - 4..=cx + 4 {
+            let level = (f64::from(image.get(x, y)) - 140.0).max(0.0);
+            sum += level;
+            moment += Vector2::new(x as f64, y as f64) * level;
+        }
+    }
+    (moment / sum.max(1e-9), sum)
+}
+
+#[test]
+fn lights_appear_where_the_camera_model_projects_them() {
+    let place = Vector3::new(1.2, -0.3, 0.1);
+    let seen = neighbour(place);
+    for vehicle in ScenarioName::Lab.vehicles() {
+        let camera = vehicle.camera;
+        let mut renderer = Renderer::new(scene_with_cube(), &camera, CLEAN);
+        let shot = shot(Vector3::new(0.05, 0.1, 0.0));
+        let image = renderer.render_among(&shot, &[seen]);
+        for side in [0.15, -0.15] {
+            let light = place + Vector3::z() * side;
+            let in_camera = shot.site_from_camera.inverse() * light;
+            let expected = camera.project(&in_camera).unwrap();
+            let (centre, _) = bright_centre(&image, &expected);
+            let [x, y] = [expected.x, expected.y].map(|axis| axis.round() as usize);
+            assert_eq!(image.get(x, y), 255);
+            // The clipped middle of a spot is only as symmetric as its pixels.
+            assert!((centre - expected).norm() < 0.2, "{centre} {expected}");
+        }
+    }
+}
+
+#[test]
+fn lights_are_hidden_by_what_stands_before_them() {
+    let camera = ScenarioName::Lab.vehicles()[1].camera.clone();
+    let mut renderer = Renderer::new(scene_with_cube(), &camera, CLEAN);
+    let shot = shot(Vector3::zeros());
+    let dark = |place: Vector3<f64>| Neighbour {
+        lights: None,
+        ..neighbour(place)
+    };
+    let upper = Vector3::new(1.2, 0.0, 0.0);
+    let light = upper + Vector3::z() * 0.15;
+    let pixel = camera.project(&(shot.site_from_camera.inverse() * light));
+    let mut light_of = |neighbours: &[Neighbour]| {
+        bright_centre(&renderer.render_among(&shot, neighbours), &pixel.unwrap()).1
+    };
+    let alone = light_of(&[neighbour(upper)]);
+    assert!(alone > 1000.0, "{alone}");
+    let eye = *shot.site_from_camera.translation();
+    let before = eye + (light - eye) * 0.5;
+    assert_eq!(light_of(&[neighbour(upper), dark(before)]), 0.0);
+    let beside = before + Vector3::y() * 0.1;
+    assert_eq!(light_of(&[neighbour(upper), dark(beside)]), alone);
+    let behind = upper + Vector3::new(0.2, 0.0, 0.0);
+    assert_eq!(light_of(&[neighbour(upper), dark(behind)]), alone);
+    // The wall of the room hides what is behind it, and nobody sees backwards.
+    let beyond = Vector3::new(1.7, 0.0, 0.0);
+    let backwards = Vector3::new(-1.2, 0.0, 0.0);
+    for unseen in [beyond, backwards] {
+        let image = renderer.render_among(&shot, &[neighbour(unseen)]);
+        assert_eq!(image, renderer.render(&shot));
+    }
+}
+
+#[test]
+fn a_light_half_as_far_is_four_times_as_bright() {
+    let camera = ScenarioName::Lab.vehicles()[1].camera.clone();
+    let mut renderer = Renderer::new(scene_with_cube(), &camera, CLEAN);
+    let mut brightest = |depth_m: f64| {
+        // Dark enough that the sensor does not clip it.
+        let dimmed = Shot {
+            gain: 0.01,
+            ..shot(Vector3::zeros())
+        };
+        let eye = *dimmed.site_from_camera.translation();
+        let place = eye + Vector3::new(depth_m, 0.0, 0.0);
+        let lit = renderer.render_among(&dimmed, &[neighbour(place)]);
+        let light = place + Vector3::z() * 0.15;
+        let pixel = camera.project(&(dimmed.site_from_camera.inverse() * light));
+        let [x, y] = [pixel.unwrap().x, pixel.unwrap().y].map(|axis| axis.round() as usize);
+        f64::from(lit.get(x, y))
+    };
+    let ratio = brightest(0.5) / brightest(1.0);
+    // A centre between pixels loses up to a quarter.
+    assert!((2.7..5.5).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn hulls_cover_what_is_behind_them() {
+    let camera = ScenarioName::Lab.vehicles()[1].camera.clone();
+    let mut renderer = Renderer::new(scene_with_cube(), &camera, CLEAN);
+    let shot = shot(Vector3::zeros());
+    let place = Vector3::new(1.1, -0.2, 0.1);
+    let unlit = Neighbour {
+        lights: None,
+        ..neighbour(place)
+    };
+    let image = renderer.render_among(&shot, &[unlit]);
+    let dark = image.pixels().iter().filter(|pixel| **pixel < 90).count() as f64;
+    // The nearest face is 0.95 m from the camera.
+    let side_px = camera.focal_length_px() * 0.1 / 0.95;
+    assert!((0.95..1.6).contains(&(dark / side_px / side_px)), "{dark}");
+    let pixel = camera
+        .project(&(shot.site_from_camera.inverse() * place))
+        .unwrap();
+    assert!(image.get(pixel.x as usize, pixel.y as usize) < 90);
+}

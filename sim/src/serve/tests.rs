@@ -1,8 +1,11 @@
+use std::io::Write;
 use std::net::TcpStream;
 use std::sync::mpsc::{Sender, channel};
 
+use nalgebra::Vector3;
+
 use super::*;
-use crate::stream::{self, Frame, Message};
+use crate::stream::{self, Frame, Message, VelocityCommand};
 
 /// What a vehicle saw of the stream.
 #[derive(Debug, Default, PartialEq)]
@@ -14,6 +17,11 @@ struct Seen {
 
 /// Acknowledges up to `frame_count_max` frames, then leaves.
 fn fly(address: SocketAddr, frame_count_max: usize) -> Seen {
+    fly_commanding(address, frame_count_max, &[])
+}
+
+/// The same, with these commands before each acknowledgement.
+fn fly_commanding(address: SocketAddr, frame_count_max: usize, velocities: &[[f64; 3]]) -> Seen {
     let mut stream = TcpStream::connect(address).unwrap();
     stream::write_message(&mut stream, &Message::Hello).unwrap();
     assert_eq!(stream::read_message(&mut stream).unwrap(), Message::Hello);
@@ -23,6 +31,13 @@ fn fly(address: SocketAddr, frame_count_max: usize) -> Seen {
             Message::Frame(frame) => {
                 let captured_at = frame.captured_at;
                 seen.frames.push(frame);
+                for velocity in velocities {
+                    let command = Message::Velocity(VelocityCommand {
+                        captured_at,
+                        velocity_in_heading: Vector3::from(*velocity),
+                    });
+                    stream::write_message(&mut stream, &command).unwrap();
+                }
                 let answer = Message::Acknowledgement { captured_at };
                 stream::write_message(&mut stream, &answer).unwrap();
             }
@@ -47,6 +62,15 @@ fn scenario() -> Scenario {
 
 /// Runs the simulator with a vehicle on every listener; each leaves after so many frames.
 fn run(settings: &ServeSettings, frame_counts_max: [usize; 3]) -> (ServeReport, Vec<Seen>) {
+    run_commanded(settings, frame_counts_max, &[])
+}
+
+/// The same, with vehicles that all command this before every acknowledgement.
+fn run_commanded(
+    settings: &ServeSettings,
+    frame_counts_max: [usize; 3],
+    velocities: &'static [[f64; 3]],
+) -> (ServeReport, Vec<Seen>) {
     let (sender, listening): (Sender<Vec<Listener>>, _) = channel();
     thread::scope(|scope| {
         let vehicles = scope.spawn(move || {
@@ -55,7 +79,9 @@ fn run(settings: &ServeSettings, frame_counts_max: [usize; 3]) -> (ServeReport, 
                 .into_iter()
                 .zip(frame_counts_max)
                 .filter(|(_, count)| *count > 0)
-                .map(|(listener, count)| thread::spawn(move || fly(listener.address, count)))
+                .map(|(listener, count)| {
+                    thread::spawn(move || fly_commanding(listener.address, count, velocities))
+                })
                 .collect();
             let landed = flights.into_iter().map(|flight| flight.join().unwrap());
             landed.collect::<Vec<Seen>>()
@@ -111,8 +137,8 @@ fn a_wish_ends_the_route_in_order() {
     assert!(seen.iter().all(|vehicle| vehicle.ended));
 }
 
-#[test]
-fn a_vehicle_that_hangs_is_lost_with_how_long_was_waited() {
+/// Why the first vehicle is lost that says hello, then does this, while the others fly.
+fn reason_of_loss(then: fn(TcpStream)) -> String {
     let settings = ServeSettings {
         acknowledge_timeout: Duration::from_millis(1200),
         ..settings()
@@ -126,7 +152,7 @@ fn a_vehicle_that_hangs_is_lost_with_how_long_was_waited() {
                     0 => {
                         let mut stream = TcpStream::connect(address).unwrap();
                         stream::write_message(&mut stream, &Message::Hello).unwrap();
-                        thread::sleep(Duration::from_secs(20));
+                        then(stream);
                     }
                     _ => drop(fly(address, 100)),
                 });
@@ -138,7 +164,113 @@ fn a_vehicle_that_hangs_is_lost_with_how_long_was_waited() {
         _ => {}
     };
     serve_scenario(&scenario(), &settings, &mut observe).unwrap();
-    assert_eq!(lost.unwrap(), "ugv1 said nothing for 1 s");
+    lost.unwrap()
+}
+
+const STILL: Message = Message::Velocity(VelocityCommand {
+    captured_at: Timestamp::from_nanoseconds(0),
+    velocity_in_heading: Vector3::new(0.0, 0.0, 0.0),
+});
+
+#[test]
+fn a_vehicle_that_hangs_is_lost_with_how_long_was_waited() {
+    let reason = reason_of_loss(|_stream| thread::sleep(Duration::from_secs(20)));
+    assert_eq!(reason, "ugv1 said nothing for 1 s");
+}
+
+#[test]
+fn a_vehicle_that_only_commands_is_lost_as_well() {
+    let reason = reason_of_loss(
+        |mut stream| {
+            while stream::write_message(&mut stream, &STILL).is_ok() {}
+        },
+    );
+    let expected = "ugv1 commanded velocities, but acknowledged nothing for 1 s";
+    assert_eq!(reason, expected);
+}
+
+#[test]
+fn a_vehicle_that_speaks_a_byte_at_a_time_is_lost_as_well() {
+    let reason = reason_of_loss(|mut stream| {
+        let mut bytes = Vec::new();
+        stream::encode(&STILL, &mut bytes);
+        for byte in bytes {
+            if stream.write_all(&[byte]).is_err() {
+                return;
+            }
+            thread::sleep(Duration::from_millis(300));
+        }
+    });
+    assert_eq!(reason, "ugv1 said nothing for 1 s");
+}
+
+#[test]
+fn a_velocity_that_is_no_number_ends_the_link() {
+    let reason = reason_of_loss(|mut stream| {
+        let command = Message::Velocity(VelocityCommand {
+            captured_at: Timestamp::default(),
+            velocity_in_heading: Vector3::new(0.0, f64::NAN, 0.0),
+        });
+        stream::write_message(&mut stream, &command).unwrap();
+        thread::sleep(Duration::from_secs(20));
+    });
+    assert!(reason.contains("not finite"), "{reason}");
+}
+
+/// Positions in the truth of a vehicle, one per frame.
+fn true_positions(report: &VehicleReport) -> Vec<Vector3<f64>> {
+    let lines = report.truth_tum.lines();
+    lines
+        .map(|line| {
+            let numbers: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
+            Vector3::new(numbers[1], numbers[2], numbers[3])
+        })
+        .collect()
+}
+
+#[test]
+fn only_who_keeps_its_place_flies_as_it_commands() {
+    let settings = ServeSettings {
+        frame_count_max: Some(15),
+        ..settings()
+    };
+    // The newest command before an acknowledgement counts.
+    let commands: &[[f64; 3]] = &[[5.0, 5.0, 5.0], [-0.5, 0.0, 0.0]];
+    let (report, seen) = run_commanded(&settings, [100; 3], commands);
+    let scenario = scenario();
+    for vehicle_idx in 0..3 {
+        let truth = true_positions(&report.vehicles[vehicle_idx]);
+        assert_eq!(truth.len(), 15);
+        for (frame_idx, position) in truth.iter().enumerate() {
+            let time_s = scenario.frame_time_s(frame_idx);
+            let planned = scenario.site_from_camera(vehicle_idx, time_s);
+            let forward = planned.rotation() * Vector3::z();
+            let way = position - planned.translation();
+            let carried_m = way.xy().dot(&forward.xy().normalize());
+            // What is commanded at one frame acts from the next on.
+            if vehicle_idx < 2 || frame_idx < 2 {
+                assert!(
+                    way.norm() < 1e-6,
+                    "vehicle {vehicle_idx}, frame {frame_idx}: {way}"
+                );
+            } else {
+                let flown_s = time_s - 0.1;
+                let expected_m = -0.5 * (flown_s - 0.3 * (1.0 - (-flown_s / 0.3).exp()));
+                // Less where acceleration is limited, and the heading wobbles.
+                assert!(
+                    (carried_m - expected_m).abs() < 0.03,
+                    "{carried_m}, {expected_m}"
+                );
+            }
+        }
+    }
+    let (again, same) = run_commanded(&settings, [100; 3], commands);
+    assert!(seen == same, "the same commands gave other frames");
+    for (vehicle, same) in report.vehicles.iter().zip(&again.vehicles) {
+        assert_eq!(vehicle.truth_tum, same.truth_tum);
+    }
+    let (_, hovering) = run(&settings, [100; 3]);
+    assert!(seen[2].frames[14] != hovering[2].frames[14]);
 }
 
 #[test]

@@ -91,10 +91,6 @@ fn drones_fly_far_and_where_the_ground_vehicle_has_not_been() {
                     0.0
                 };
             }
-            println!(
-                "seed {seed} drone {drone}: {length_m:.1} m, new {:.2}",
-                new_m / all_m
-            );
             assert!(new_m / all_m > 0.34, "seed {seed}: {new_m} of {all_m} m");
         }
     }
@@ -102,7 +98,6 @@ fn drones_fly_far_and_where_the_ground_vehicle_has_not_been() {
 
 #[test]
 fn nobody_comes_close_to_anything() {
-    let (mut least_clear_m, mut least_apart_m) = (9.0_f64, 9.0_f64);
     for seed in 1..=20 {
         let flown = Flown::new(seed);
         let scenario = &flown.scenario;
@@ -112,14 +107,12 @@ fn nobody_comes_close_to_anything() {
             let time_s = scenario.frame_time_s(frame_idx);
             for (vehicle, position) in at.iter().enumerate() {
                 let clearance_m = surroundings.clearance_m(position);
-                least_clear_m = least_clear_m.min(clearance_m);
                 assert!(
                     clearance_m > 0.33 && scenario.world.encloses(position),
                     "seed {seed}: {clearance_m} m around vehicle {vehicle} at {time_s} s"
                 );
                 for other in &at[vehicle + 1..] {
                     let apart_m = (position - other).norm();
-                    least_apart_m = least_apart_m.min(apart_m);
                     assert!(
                         apart_m > 0.7,
                         "seed {seed}: {apart_m} m apart at {time_s} s"
@@ -128,7 +121,6 @@ fn nobody_comes_close_to_anything() {
             }
         }
     }
-    println!("clearance {least_clear_m:.2}, apart {least_apart_m:.2}");
 }
 
 #[test]
@@ -261,7 +253,6 @@ fn drones_see_what_the_ground_vehicle_saw_before() {
                 .collect();
             let mean = shares.iter().sum::<f64>() / shares.len() as f64;
             let least = shares.iter().copied().fold(1.0, f64::min);
-            println!("seed {seed} drone {drone}: {mean:.2} {least:.2} {shares:.1?}");
             // The second one is 3 m away: it also sees floor and ceiling, and twice as much of the
             // wall as the ground vehicle's camera.
             let (mean_min, least_min) = [(0.6, 0.3), (0.3, 0.1)][drone - 1];
