@@ -49,7 +49,8 @@ pub fn routes(world: &World, seed: u64) -> Vec<Route> {
     ]
 }
 
-/// What is seen of a drone: a plate, and a mast with a light at each end.
+/// What is seen of a drone: a plate, and an upright shield across its heading that carries the
+/// lights, so that they stand out before bright walls.
 pub fn drone_hull(lights: &MarkerLights) -> Vec<Cuboid> {
     let around_origin = |extents: Vector3<f64>| Cuboid {
         centre: Vector3::zeros(),
@@ -58,7 +59,7 @@ pub fn drone_hull(lights: &MarkerLights) -> Vec<Cuboid> {
     };
     vec![
         around_origin(Vector3::new(0.16, 0.16, 0.04)),
-        around_origin(Vector3::new(0.012, 0.012, lights.length_m)),
+        around_origin(Vector3::new(0.012, 0.14, lights.length_m + 0.1)),
     ]
 }
 
