@@ -74,6 +74,8 @@ pub struct GuardedFollower {
     tracks: Tracks,
     limits: Limits,
     followed: Option<TrackId>,
+    /// Logarithm of the peak of the followed lights, at least, at a separation of one pixel.
+    log_peak_at_one_px: Option<f64>,
     /// As far as the autopilot has taken up what was commanded.
     own: Vector3<f64>,
     commanded: Vector3<f64>,
@@ -81,6 +83,10 @@ pub struct GuardedFollower {
 
 /// More neighbours than this are not in one picture.
 const SIGHTING_COUNT_MAX: usize = 16;
+/// Lights of one team differ by less than a factor of four: their makes, their ages, their sides.
+const LOG_FAINT: f64 = 2.0 * std::f64::consts::LN_2;
+/// Share of a new image in what is known of the lights' brightness.
+const BRIGHTNESS_GAIN: f64 = 0.1;
 /// Who is steeper above or below is not kept clear of by level motion.
 const LEVEL_SHARE_MIN: f64 = 0.1;
 
@@ -99,6 +105,7 @@ impl GuardedFollower {
             tracks: Tracks::new(settings.tracks),
             limits: Limits::default(),
             followed: None,
+            log_peak_at_one_px: None,
             own: Vector3::zeros(),
             commanded: Vector3::zeros(),
         }
@@ -144,20 +151,44 @@ impl GuardedFollower {
         }
     }
 
-    /// The one that was followed, else the nearest; `None` where neither is in this image.
+    /// The one that was followed, else the one nearest to the place; `None` where this image does
+    /// not show it.
     fn choose<'a>(&mut self, tracks: &'a [MarkerTrack]) -> Option<&'a MarkerTrack> {
-        let is_known = |track: &&MarkerTrack| track.is_confirmed() && !track.merged;
-        let followed = self.followed;
+        let is_known = |track: &&MarkerTrack| {
+            track.is_confirmed() && !track.merged && !self.is_too_faint(track)
+        };
         let chosen = tracks
             .iter()
             .filter(is_known)
-            .find(|track| Some(track.id) == followed)
+            .find(|track| Some(track.id) == self.followed)
             .or_else(|| {
                 let known = tracks.iter().filter(is_known);
-                known.max_by(|a, b| a.separation_px.total_cmp(&b.separation_px))
+                known.min_by(|a, b| self.misplacement(a).total_cmp(&self.misplacement(b)))
             })?;
         self.followed = Some(chosen.id);
-        (chosen.state == TrackState::Track).then_some(chosen)
+        if chosen.state != TrackState::Track {
+            return None;
+        }
+        let log_peak_at_one_px = chosen.log_peak_bounds[0] - 2.0 * chosen.separation_px.ln();
+        let before = self.log_peak_at_one_px.get_or_insert(log_peak_at_one_px);
+        *before += (log_peak_at_one_px - *before) * BRIGHTNESS_GAIN;
+        Some(chosen)
+    }
+
+    /// How far from the commanded place a track is, in the logarithm of its range and radians.
+    fn misplacement(&self, track: &MarkerTrack) -> f64 {
+        let settings = &self.settings.follower;
+        let aside_px = track.u_px - settings.lateral_px;
+        (track.separation_px / settings.separation_px).ln().abs()
+            + aside_px.abs() / self.camera.intrinsics().fx
+    }
+
+    /// All vehicles carry the same lights, which are the brighter the nearer they are: who looks
+    /// nearer than the one that is followed and is much fainter than that is part of a pattern.
+    fn is_too_faint(&self, track: &MarkerTrack) -> bool {
+        let log_peak_at_one_px = track.log_peak_bounds[1] - 2.0 * track.separation_px.ln();
+        self.log_peak_at_one_px
+            .is_some_and(|followed| log_peak_at_one_px < followed - LOG_FAINT)
     }
 
     /// Everybody in sight is kept clear of, followed or not.
@@ -166,7 +197,7 @@ impl GuardedFollower {
         let mut count = 0;
         let shown = tracks
             .iter()
-            .filter(|track| track.state == TrackState::Track);
+            .filter(|track| track.state == TrackState::Track && !self.is_too_faint(track));
         for sighting in shown.filter_map(|track| self.sighting(track)) {
             if let Some(place) = sightings.get_mut(count) {
                 *place = sighting;

@@ -41,6 +41,7 @@ fn track_at(place: &Vector3<f64>, id: u32) -> Option<MarkerTrack> {
         separation_px: (above? - below?).norm(),
         sigma_separation_px: 0.1,
         rate_per_s: 0.0,
+        log_peak_bounds: [(500.0 / place.norm_squared()).ln(); 2],
         merged: false,
     })
 }
@@ -190,4 +191,26 @@ fn an_obstacle_beside_the_place_stops_the_vehicle() {
     wall.clearance_m = 0.1;
     let stopped = follower.step(aside.as_slice(), &[wall], STEP_S).velocity;
     assert!(stopped.y.abs() < 1e-9, "{stopped:?}");
+}
+
+/// Goal: a pattern on a wall that looks like a near vehicle stops nobody, and a near vehicle
+/// whose lights are clipped does. Method: both where the follower has to fly.
+#[test]
+fn faint_patterns_are_no_neighbours_and_clipped_lights_are() {
+    let leader = track_at(&Vector3::new(3.0, 0.0, 0.0), 1).unwrap();
+    let near = track_at(&Vector3::new(0.9, 0.1, 0.0), 2).unwrap();
+    let forward_mps = |log_peak_bounds: [f64; 2]| {
+        let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+        let third = MarkerTrack {
+            log_peak_bounds,
+            ..near
+        };
+        let mut command = GuardedCommand::default();
+        for _ in 0..10 {
+            command = follower.step(&[leader, third], &[], STEP_S);
+        }
+        command.velocity.x
+    };
+    assert!(forward_mps([4.0; 2]) > 0.3);
+    assert!(forward_mps([5.3, f64::INFINITY]) < 0.1);
 }

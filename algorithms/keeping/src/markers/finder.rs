@@ -80,6 +80,8 @@ pub(super) const PAIR_COUNT_MAX: usize = 16;
 /// Contrasts from here on tell nothing about the noise.
 const CONTRAST_MIN_MAX: f64 = 200.0;
 const CLIPPED_CONTRAST_SHARE: f64 = 0.4;
+/// Before a busy background the contrast is raised by this until few enough things stand out.
+const BUSY_STEP: f64 = 1.6;
 /// Beside things that are this much brighter, what is not clipped is no light but lit.
 const CONTRAST_OF_BRIGHTEST_MIN: f64 = 0.35;
 /// A light stands out by this many sigmas of the noise.
@@ -162,8 +164,7 @@ impl PairFinder {
 
     fn collect_lights(&mut self, image: &Image, gates: &LightGates) -> Result<(), TooManyRuns> {
         self.padded_row.resize(image.width() + 2 * scan::ARM_PX, 0);
-        let threshold = gates.clipped_contrast_min as u8;
-        scan::find_bright(image, threshold, &mut self.padded_row, &mut self.joiner)?;
+        self.find_bright(image, gates.clipped_contrast_min)?;
         let brightness = |component: &Component| {
             let [x, y] = component.centroid_px();
             image.get(x.round() as usize, y.round() as usize)
@@ -186,6 +187,19 @@ impl PairFinder {
             light::measure(image, component, gates, |light| keep(lights, light));
         }
         Ok(())
+    }
+
+    /// Runs of what stands out: of everything, or before a busy background of what stands out most.
+    fn find_bright(&mut self, image: &Image, contrast_min: f64) -> Result<(), TooManyRuns> {
+        let mut threshold = contrast_min;
+        loop {
+            let (row, joiner) = (&mut self.padded_row, &mut self.joiner);
+            let found = scan::find_bright(image, threshold as u8, row, joiner);
+            if found.is_ok() || threshold >= CONTRAST_MIN_MAX {
+                return found;
+            }
+            threshold = (threshold * BUSY_STEP).min(CONTRAST_MIN_MAX);
+        }
     }
 
     fn pair_lights(&mut self, image: &Image, noise: f64) {

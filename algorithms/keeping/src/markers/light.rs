@@ -41,6 +41,18 @@ impl Light {
         self.flanks.map(|flanks| flanks.log_peak(self.contrast))
     }
 
+    /// The logarithm of its peak above the background: at least, and at most. A clipped peak may be
+    /// anything; its flanks say how much it is at least.
+    pub(super) fn log_peak_bounds(&self) -> [f64; 2] {
+        let seen = self.contrast.ln();
+        if !self.saturated {
+            return [seen, seen];
+        }
+        let fitted = self.log_peak();
+        let at_least = fitted.map_or(seen, |peak| seen.max(peak.value - peak.sigma));
+        [at_least, f64::INFINITY]
+    }
+
     /// Fits its flanks, if they tell anything.
     pub(super) fn fit_flanks(&mut self, image: &Image, noise: f64) {
         if !self.is_before_edge() {

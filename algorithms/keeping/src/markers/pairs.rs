@@ -214,6 +214,12 @@ impl MarkerPair {
         *self = Self::of(self.lights[0], self.lights[1], self.mismatch);
     }
 
+    /// Of the brighter of its lights.
+    pub(super) fn log_peak_bounds(&self) -> [f64; 2] {
+        let [first, second] = self.lights.map(|light| light.log_peak_bounds());
+        [0, 1].map(|bound| f64::max(first[bound], second[bound]))
+    }
+
     /// Fits each light without what the other adds to it.
     fn separate_flanks(&self, image: &Image, noise: f64) -> [Option<LogParabola>; 2] {
         let [first, second] = &self.lights;

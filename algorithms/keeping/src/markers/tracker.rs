@@ -86,6 +86,9 @@ pub struct MarkerTrack {
     pub sigma_separation_px: f64,
     /// Relative change of the separation, per second; positive as the neighbour comes near.
     pub rate_per_s: f64,
+    /// The logarithm of the lights' peak above the background, in grey levels: at least, and at
+    /// most, which is infinite where the peak is clipped. As of the last sighting.
+    pub log_peak_bounds: [f64; 2],
     /// Its lights run into each other: it is farther away than the separation says.
     pub merged: bool,
 }
@@ -135,6 +138,7 @@ struct Track {
     was_confirmed: bool,
     state: TrackState,
     merged: bool,
+    log_peak_bounds: [f64; 2],
     history: [Brightness; HISTORY_LEN],
     history_len: usize,
 }
@@ -255,6 +259,7 @@ impl Track {
             was_confirmed: false,
             state: TrackState::Acquire,
             merged: false,
+            log_peak_bounds: pair.log_peak_bounds(),
             history: [Brightness::default(); HISTORY_LEN],
             history_len: 0,
         };
@@ -298,6 +303,7 @@ impl Track {
         self.missed_count = 0;
         self.measured_at = captured_at;
         self.merged = false;
+        self.log_peak_bounds = pair.log_peak_bounds();
         self.remember_brightness(pair, captured_at);
         if self.is_believed(settings) {
             self.state = TrackState::Track;
@@ -378,6 +384,7 @@ impl Track {
             separation_px: self.filter.separation_px(),
             sigma_separation_px: self.filter.sigma_separation_px(),
             rate_per_s: self.filter.rate_per_s,
+            log_peak_bounds: self.log_peak_bounds,
             merged: self.merged,
         }
     }

@@ -4,6 +4,7 @@ use camera::Image;
 use geometry::Timestamp;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use sim::marker_light::{Irradiance, LightSpot, Sensor};
 
 use crate::markers::{
     CameraMarkers, FinderSettings, PaperPipeline, PaperPipelineSettings, TrackerSettings,
@@ -96,4 +97,44 @@ fn spots_at_every_edge_and_of_every_size_are_looked_at() {
         }
         check(&image, &mut camera, &mut paper, idx);
     }
+}
+
+/// Goal: a wall full of print hides no lights. Method: squares of random shades, so many that
+/// they are more than the finder can look at, with lights before them.
+#[test]
+fn lights_before_a_busy_wall_are_found() {
+    let mut camera = CameraMarkers::new(FinderSettings::default(), TrackerSettings::default(), 324);
+    let sensor = Sensor {
+        exposure: 1.0,
+        noise: 2.0,
+    };
+    let mut found_count = 0;
+    for seed in 0..20 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut picture = Irradiance::filled(324, 244, 90.0);
+        for y in (0..244).step_by(7) {
+            for x in (0..324).step_by(5) {
+                let shade = rng.random_range(50.0..170.0);
+                picture.fill_rectangle([x, y], [4, 6], shade);
+            }
+        }
+        let at = [rng.random_range(40.0..280.0), rng.random_range(40.0..200.0)];
+        for offset_px in [-5.0, 5.0] {
+            picture.add_spot(&LightSpot {
+                center_px: [at[0], at[1] + offset_px],
+                sigma_px: 0.9,
+                peak: 700.0,
+                streak_px: [0.0, 0.0],
+            });
+        }
+        let image = picture.expose(&sensor, &mut rng);
+        let stamp = Timestamp::from_nanoseconds(1_000_000_000 * seed as i64);
+        let (frame, _) = camera.see(&image, stamp, None);
+        assert!(!frame.crowded);
+        found_count += usize::from(frame.pairs.iter().any(|pair| {
+            let offset = [0, 1].map(|axis| pair.center_px[axis] - at[axis]);
+            offset[0].hypot(offset[1]) < 1.0 && (pair.separation_px - 10.0).abs() < 0.7
+        }));
+    }
+    assert!(found_count >= 18, "{found_count}");
 }
