@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, bail};
 use sim::{Cut, ScenarioName, VehicleDescription};
 
-use crate::config::{CameraConfig, EstimationConfig, PositionConfig, VehicleConfig};
+use crate::config::{CameraConfig, EstimationConfig, KeepingConfig, PositionConfig, VehicleConfig};
+use crate::evaluate::SwarmScore;
 use crate::files::create_folder;
 use crate::plot::Picture;
 use crate::process::VehicleSummary;
@@ -36,6 +37,8 @@ pub struct DemoReport {
     pub realtime_factor: Option<f64>,
     /// Those that ended in order.
     pub vehicles: Vec<VehicleReport>,
+    /// How the drones held together, once their truth is known.
+    pub swarm: Option<SwarmScore>,
     /// What those lost on the way, for a person.
     pub losses: Vec<String>,
     /// Before and after registration, in the manner of the paper's Fig. 10.
@@ -341,8 +344,17 @@ fn vehicle_config(
             ..EstimationConfig::default()
         },
         out: out.to_owned(),
-        keeping: None,
+        keeping: keeping_config(vehicle),
         store: None,
+    })
+}
+
+/// Who holds a place behind another knows how far apart the lights are that all carry.
+fn keeping_config(vehicle: &VehicleDescription) -> Option<KeepingConfig> {
+    let lights = vehicle.lights.filter(|_| vehicle.keeps_place)?;
+    Some(KeepingConfig {
+        light_distance_m: lights.length_m,
+        ..KeepingConfig::default()
     })
 }
 
@@ -358,11 +370,14 @@ fn judge(
         .filter_map(|summary| Some(format!("{}: {}", summary.id, summary.loss()?)))
         .collect();
     let mut vehicles = Vec::new();
-    let mut plot = None;
+    let (mut plot, mut swarm) = (None, None);
     // Without the simulator's report nobody knows the truth.
     if let Some(report) = &report {
         write_truth(out, &report.vehicles, &mut losses);
         plot = draw(out, summaries, &mut losses);
+        swarm = score::swarm(plan.scenario, out, summaries)
+            .map_err(|error| losses.push(format!("the swarm cannot be judged: {error:#}")))
+            .ok();
     }
     for summary in summaries {
         let score = report
@@ -378,6 +393,7 @@ fn judge(
         ending,
         realtime_factor: report.and_then(|report| report.realtime_factor),
         vehicles,
+        swarm,
         plot,
         losses,
     }

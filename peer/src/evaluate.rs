@@ -3,6 +3,7 @@
 mod association;
 mod baseline;
 mod consistency;
+mod swarm;
 mod trajectory_error;
 
 use geometry::{Enu, Map};
@@ -14,6 +15,7 @@ use crate::files::StampedPose;
 pub use association::{Pair, associate};
 pub use baseline::{BaselineSettings, drift_rmse_m, rough_start_rmse_m};
 pub use consistency::{Consistency, consistency};
+pub use swarm::SwarmScore;
 pub use trajectory_error::{Alignment, NotComparable, TrajectoryError, trajectory_error};
 
 /// Poses farther apart in time than this are not of the same frame, seconds.

@@ -16,5 +16,6 @@ mod trace;
 pub use campaign::{Summary, fly_all, summarise};
 pub use flight::{FlightRecord, Moment, fly};
 pub use following::{FollowingMoment, FollowingSettings, follow};
+pub use metrics::{COLLISION_M, Mean};
 pub use scenario::{RuleName, Scenario, SensingName, SettingError};
 pub use trace::Trace;

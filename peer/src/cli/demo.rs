@@ -66,6 +66,7 @@ pub fn run(arguments: &DemoArguments) -> anyhow::Result<Exit> {
         ok: exit == Exit::Done,
         realtime_factor: report.realtime_factor,
         vehicles: report.vehicles,
+        swarm: report.swarm,
     };
     summary.print(arguments.json)?;
     if let Some(plot) = report.plot.filter(|_| !arguments.json) {

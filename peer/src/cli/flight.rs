@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::output;
+use crate::evaluate::SwarmScore;
 use crate::team::{VehicleReport, table};
 
 /// How it went; the names are those of the command line's contract.
@@ -12,6 +13,9 @@ pub struct FlightSummary {
     pub ok: bool,
     pub realtime_factor: Option<f64>,
     pub vehicles: Vec<VehicleReport>,
+    /// How those that carry lights held together; absent where nobody does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub swarm: Option<SwarmScore>,
 }
 
 impl FlightSummary {
@@ -23,11 +27,28 @@ impl FlightSummary {
         for line in table(&self.vehicles) {
             output::print_line(&line);
         }
+        if let Some(swarm) = &self.swarm {
+            output::print_line(&together(swarm));
+        }
         if let Some(realtime_factor) = self.realtime_factor {
             output::print_line(&format!("{realtime_factor:.2} times real time"));
         }
         Ok(())
     }
+}
+
+fn together(swarm: &SwarmScore) -> String {
+    let number = |value: Option<f64>, decimals: usize| {
+        value.map_or("–".to_owned(), |value| format!("{value:.decimals$}"))
+    };
+    let seen_percent = number(swarm.marker_seen_share.map(|share| 100.0 * share), 0);
+    format!(
+        "held together by sight: {} m apart on average, never nearer than {} m, collisions: {}, \
+         lights seen in {seen_percent} % of the images",
+        number(swarm.nn_mean_m, 2),
+        number(swarm.min_distance_m, 2),
+        swarm.collisions,
+    )
 }
 
 /// The progress bar of a flight, once it has begun.

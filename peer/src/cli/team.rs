@@ -78,6 +78,7 @@ pub fn run(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Exit
         vehicles: vehicles
             .map(|summary| VehicleReport::new(summary, None))
             .collect(),
+        swarm: None,
     };
     summary.print(arguments.json)?;
     Ok(exit)

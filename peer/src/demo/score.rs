@@ -4,8 +4,9 @@ use std::path::Path;
 
 use geometry::Enu;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use sim::ScenarioName;
 
-use crate::evaluate::{BaselineSettings, VehicleRecord, VehicleScore, judge};
+use crate::evaluate::{BaselineSettings, SwarmScore, VehicleRecord, VehicleScore, judge};
 use crate::files::{StampedPose, read_cloud, read_covariances, read_tum};
 use crate::plot::Realignment;
 use crate::process::VehicleSummary;
@@ -32,6 +33,28 @@ pub fn score(folder: &Path, summary: &VehicleSummary, seed: u64) -> anyhow::Resu
         ..BaselineSettings::default()
     };
     Ok(judge(&record, &settings))
+}
+
+/// How the vehicles that carry lights held together.
+pub fn swarm(
+    scenario: ScenarioName,
+    folder: &Path,
+    summaries: &[VehicleSummary],
+) -> anyhow::Result<SwarmScore> {
+    let lit = scenario.vehicles().into_iter();
+    let truths = lit
+        .filter(|vehicle| vehicle.lights.is_some())
+        .map(|vehicle| read_tum(&folder.join(format!("{}.truth.tum", vehicle.id))))
+        .collect::<Result<Vec<_>, _>>()?;
+    let followers = || {
+        summaries
+            .iter()
+            .filter_map(|summary| summary.keeping.as_ref())
+    };
+    let frame_count: u64 = followers().map(|keeping| keeping.frame_count).sum();
+    let seen_count: u64 = followers().map(|keeping| keeping.seen_count).sum();
+    let seen_share = (frame_count > 0).then(|| seen_count as f64 / frame_count as f64);
+    Ok(SwarmScore::of(&truths, seen_share))
 }
 
 /// Before and after registration, in the manner of the paper's Fig. 10. Before is the rough start
