@@ -9,6 +9,7 @@
 )]
 
 mod clock;
+mod demo;
 mod ending;
 mod inputs;
 mod joining;
