@@ -13,6 +13,7 @@ pub mod gabriel_rule;
 mod guarded_follower;
 mod keeper;
 pub mod markers;
+pub mod mount;
 pub mod paper_rule;
 pub mod safety;
 mod sectors;
@@ -28,6 +29,7 @@ pub use follower::{
 pub use gabriel_rule::GabrielSettings;
 pub use guarded_follower::{GuardedCommand, GuardedFollower, GuardedFollowerSettings};
 pub use keeper::{Command, HeadingRule, Keeper, KeeperSettings, Perception};
+pub use mount::CameraMount;
 pub use paper_rule::{PaperRule, PaperRuleSettings, Placed};
 pub use safety::{Obstacle, SafetySettings};
 pub use sectors::{Sector, Sectors};
