@@ -88,6 +88,7 @@ pub struct Keeper {
     limits: Limits,
     /// Smoothed; axes that do not turn.
     correction_in_level: Vector3<f64>,
+    lights_shine: bool,
 }
 
 impl Keeper {
@@ -99,7 +100,14 @@ impl Keeper {
             shell: Shell::default(),
             limits: Limits::default(),
             correction_in_level: Vector3::zeros(),
+            lights_shine: true,
         }
+    }
+
+    /// From now on nobody sees this vehicle: who flies behind leaves no room, so that it must not
+    /// back up any more.
+    pub fn lose_lights(&mut self) {
+        self.lights_shine = false;
     }
 
     pub fn tracks(&self) -> &Tracks {
@@ -116,7 +124,7 @@ impl Keeper {
             nominal: Vector3::x() * perception.nominal_mps,
             velocity: perception.velocity,
         };
-        let freedom = Freedom::of(&self.coverage, heading_rad);
+        let freedom = Freedom::of(&self.coverage, heading_rad, self.lights_shine);
         let wanted = freedom.part_of(self.correct(heading_rad));
         let correction = freedom.part_of(self.smooth(&wanted, heading_rad, step_s));
         let detour = self.detour(&flight.nominal, perception.obstacles);
@@ -237,10 +245,12 @@ impl Keeper {
 /// Along which axes of the heading frame the vehicle may move against the swarm.
 ///
 /// A neighbour beside us moves too. If everybody leaves the axes alone along which he does not
-/// look, whatever two of them do, one of them looks along their relative motion. Backward is free:
-/// who flies behind sees us, and leaves room for the slow backing that the rule allows.
+/// look, whatever two of them do, one of them looks along their relative motion. Backward is free
+/// while our lights shine: who flies behind sees them, and leaves room for the slow backing that
+/// the rule allows.
 struct Freedom {
     forward: bool,
+    backward: bool,
     left: bool,
     right: bool,
     up: bool,
@@ -251,10 +261,11 @@ struct Freedom {
 const FREE_SHARE_MIN: f64 = 0.1;
 
 impl Freedom {
-    fn of(coverage: &Coverage, heading_rad: f64) -> Self {
+    fn of(coverage: &Coverage, heading_rad: f64, lights_shine: bool) -> Self {
         let covers = |direction: Vector3<f64>| coverage.covers(&direction, heading_rad);
         Self {
             forward: covers(Vector3::x()),
+            backward: lights_shine || covers(-Vector3::x()),
             left: covers(Vector3::y()),
             right: covers(-Vector3::y()),
             up: covers(Vector3::z()),
@@ -271,7 +282,7 @@ impl Freedom {
             }
         };
         Vector3::new(
-            free(motion.x, self.forward, true),
+            free(motion.x, self.forward, self.backward),
             free(motion.y, self.left, self.right),
             free(motion.z, self.up, self.down),
         )
@@ -351,6 +362,24 @@ mod tests {
         for _ in 0..30 {
             let velocity = keeper.step(&hover(&near, &[camera]), 0.1).velocity;
             assert!(camera.contains(&velocity), "{velocity:?}");
+        }
+    }
+
+    #[test]
+    fn without_lights_nobody_backs_up() {
+        let views = [FieldOfView::all_but_rear()];
+        let near = [sighting(Vector3::new(0.8, 0.6, 0.0), 1.0)];
+        for (is_lit, is_backing) in [(true, true), (false, false)] {
+            let mut keeper = Keeper::new(KeeperSettings::default());
+            if !is_lit {
+                keeper.lose_lights();
+            }
+            let mut velocity = Vector3::zeros();
+            for _ in 0..20 {
+                velocity = keeper.step(&hover(&near, &views), 0.1).velocity;
+            }
+            assert_eq!(velocity.x < -0.01, is_backing, "{velocity:?}");
+            assert!(velocity.y < -0.1, "{velocity:?}");
         }
     }
 
