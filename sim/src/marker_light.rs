@@ -2,7 +2,10 @@
 //!
 //! Levels are grey levels at exposure one, without upper bound; the sensor clips them.
 
+mod grain;
 mod scene;
+
+use std::ops::Range;
 
 use camera::Image;
 use nalgebra::Vector3;
@@ -10,6 +13,7 @@ use rand::Rng;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
+pub use grain::Grain;
 pub use scene::{MarkerFrame, MarkerScene, TruePair};
 
 /// A vehicle's two lights, one above the other in its body's frame, with the origin between them.
@@ -105,6 +109,36 @@ impl Irradiance {
         }
     }
 
+    /// A part of the picture; it must lie inside.
+    pub fn cropped(&self, [left, top]: [usize; 2], [width, height]: [usize; 2]) -> Self {
+        let rows = self.levels.chunks_exact(self.width).skip(top).take(height);
+        Self {
+            width,
+            height,
+            levels: rows
+                .flat_map(|row| &row[left..left + width])
+                .copied()
+                .collect(),
+        }
+    }
+
+    /// Paints a disc; what sticks out is cut off.
+    pub fn fill_disc(&mut self, center_px: [f64; 2], radius_px: f64, level: f64) {
+        let rows = inside(
+            center_px[1] - radius_px,
+            center_px[1] + radius_px,
+            self.height,
+        );
+        for y in rows {
+            let half = (radius_px.powi(2) - (y as f64 - center_px[1]).powi(2))
+                .max(0.0)
+                .sqrt();
+            let columns = inside(center_px[0] - half, center_px[0] + half, self.width);
+            let row = &mut self.levels[y * self.width..(y + 1) * self.width];
+            row[columns].fill(level as f32);
+        }
+    }
+
     /// Blurs everything with a Gaussian, as the lens does; beyond the edge the edge goes on.
     pub fn blur(&mut self, sigma_px: f64) {
         let reach = (3.0 * sigma_px).ceil() as usize;
@@ -115,7 +149,7 @@ impl Irradiance {
         let scale = 1.0 / falloff.iter().sum::<f32>();
         let weights: Vec<f32> = falloff.iter().map(|weight| weight * scale).collect();
         let (width, height) = (self.width, self.height);
-        let inside =
+        let clamped =
             |at: usize, step: usize, end: usize| (at + step).saturating_sub(reach).min(end);
         let mut across = vec![0.0; self.levels.len()];
         for y in 0..height {
@@ -123,14 +157,14 @@ impl Irradiance {
             let blurred = &mut across[y * width..(y + 1) * width];
             for (step, weight) in weights.iter().enumerate() {
                 for (x, sum) in blurred.iter_mut().enumerate() {
-                    *sum += weight * row[inside(x, step, width - 1)];
+                    *sum += weight * row[clamped(x, step, width - 1)];
                 }
             }
         }
         self.levels.fill(0.0);
         for (step, weight) in weights.iter().enumerate() {
             for y in 0..height {
-                let from = inside(y, step, height - 1) * width;
+                let from = clamped(y, step, height - 1) * width;
                 let row = &across[from..from + width];
                 let sums = &mut self.levels[y * width..(y + 1) * width];
                 for (sum, level) in sums.iter_mut().zip(row) {
@@ -178,11 +212,7 @@ pub(crate) fn add_spot(levels: &mut [f32], width: usize, spot: &LightSpot) {
 
 fn add_still_spot(levels: &mut [f32], width: usize, spot: &LightSpot) {
     let reach = SPOT_REACH_SIGMAS * spot.sigma_px;
-    let range = |center: f64, end: usize| {
-        let start = (center - reach).ceil().max(0.0) as usize;
-        let stop = (center + reach + 1.0).floor().max(0.0) as usize;
-        start.min(end)..stop.min(end)
-    };
+    let range = |center: f64, end: usize| inside(center - reach, center + reach, end);
     let falloff = |offset: f64| (-0.5 * (offset / spot.sigma_px).powi(2)).exp();
     for y in range(
         spot.center_px[1],
@@ -194,6 +224,13 @@ fn add_still_spot(levels: &mut [f32], width: usize, spot: &LightSpot) {
             levels[y * width + x] += level as f32;
         }
     }
+}
+
+/// The pixels from one place to another, of those before `end`.
+fn inside(first: f64, last: f64, end: usize) -> Range<usize> {
+    let start = first.ceil().max(0.0) as usize;
+    let stop = (last + 1.0).floor().max(0.0) as usize;
+    start.min(end)..stop.min(end)
 }
 
 #[cfg(test)]

@@ -1,9 +1,11 @@
 //! Swarms of point drones: how they move, and what their cameras see of each other.
 //!
-//! No images: lights are seen as a direction and a separation in pixels, with the errors that
-//! images have. [`Glimpse::target`] is the truth and not for the drones.
+//! Lights are seen as a direction and a separation in pixels, with the errors that images have, or
+//! in pictures. [`Glimpse::target`] and [`Swarm::target_towards`] are the truth and not for the
+//! drones.
 
 mod obstacles;
+mod pictures;
 mod sensing;
 mod start;
 
@@ -15,7 +17,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 pub use obstacles::{Cylinder, Surface};
-pub use sensing::{BLINDED_AFTER_S, Glimpse, LightBaseline, SensingSettings};
+pub use pictures::{PictureSettings, Studio, SwarmCamera};
+pub use sensing::{FAULT_AFTER_S, Glimpse, LightBaseline, SensingSettings};
 
 /// Synchronous explicit Euler: everybody senses, then everybody moves.
 pub const STEP_S: f64 = 0.1;
@@ -37,6 +40,8 @@ pub struct SwarmSettings {
     pub lag_s: f64,
     /// Gusts move each drone with this standard deviation.
     pub wind_mps: f64,
+    /// So many drones, the last ones, leave the air after [`FAULT_AFTER_S`].
+    pub dropped: usize,
     pub sensing: SensingSettings,
 }
 
@@ -51,6 +56,7 @@ impl Default for SwarmSettings {
             obstacle_count: 0,
             lag_s: 0.0,
             wind_mps: 0.0,
+            dropped: 0,
             sensing: SensingSettings::default(),
         }
     }
@@ -139,6 +145,11 @@ impl Swarm {
         &self.cylinders
     }
 
+    /// Whether the drone is in the air. Who is not is seen by nobody and in nobody's way.
+    pub fn is_aloft(&self, drone: usize) -> bool {
+        !self.has_fault() || drone + self.settings.dropped < self.now.positions.len()
+    }
+
     /// The drone's own velocity as its autopilot knows it, in its heading frame.
     pub fn own_velocity(&self, drone: usize) -> Vector3<f64> {
         turned(&self.velocities[drone], -self.now.headings_rad[drone])
@@ -156,6 +167,12 @@ impl Swarm {
         };
         let keep = (-STEP_S / GUST_S).exp();
         let gust_mps = self.settings.wind_mps * (1.0 - keep * keep).sqrt();
+        let drone_count = steering.len();
+        let aloft_count = if self.has_fault() {
+            drone_count.saturating_sub(self.settings.dropped)
+        } else {
+            drone_count
+        };
         for (drone, steering) in steering.iter().enumerate() {
             let heading_rad = &mut self.now.headings_rad[drone];
             let commanded = turned(&steering.velocity, *heading_rad);
@@ -168,7 +185,9 @@ impl Swarm {
                 let push = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal));
                 *gust = *gust * keep + push * gust_mps;
             }
-            self.now.positions[drone] += (*velocity + *gust) * STEP_S;
+            if drone < aloft_count {
+                self.now.positions[drone] += (*velocity + *gust) * STEP_S;
+            }
         }
         self.step_count += 1;
         self.remember();

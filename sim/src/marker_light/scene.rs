@@ -205,6 +205,11 @@ impl MarkerScene {
         }
     }
 
+    /// What is behind the lights, without them.
+    pub fn backdrop(&self, seed: u64) -> Irradiance {
+        self.paint_background(&mut ChaCha8Rng::seed_from_u64(seed))
+    }
+
     fn spot(&self, center_px: [f64; 2], peak: f64, streak_px: [f64; 2]) -> LightSpot {
         LightSpot {
             center_px,

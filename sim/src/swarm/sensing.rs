@@ -46,8 +46,14 @@ pub struct SensingSettings {
     pub elevation_rad_max: f64,
     /// Bodies hide what is behind them.
     pub occlusion: bool,
-    /// So many drones, the first ones, see nothing any more after [`BLINDED_AFTER_S`].
+    /// So many drones, the first ones, see nothing after [`FAULT_AFTER_S`].
     pub blinded: usize,
+    /// For so long.
+    pub blinded_s: f64,
+    /// The lights of so many drones, the last ones, never shine.
+    pub unlit: usize,
+    /// And those drones know it, as the current through a light tells.
+    pub unlit_known: bool,
 }
 
 impl Default for SensingSettings {
@@ -68,6 +74,9 @@ impl Default for SensingSettings {
             elevation_rad_max: std::f64::consts::FRAC_PI_2,
             occlusion: false,
             blinded: 0,
+            blinded_s: f64::INFINITY,
+            unlit: 0,
+            unlit_known: true,
         }
     }
 }
@@ -91,8 +100,8 @@ pub struct Nearby {
     distance_m: f64,
 }
 
-/// Drones are blinded when the swarm has found its places.
-pub const BLINDED_AFTER_S: f64 = 30.0;
+/// Faults happen when the swarm has found its places.
+pub const FAULT_AFTER_S: f64 = 30.0;
 /// A false light looks like a neighbour at up to this distance.
 const FALSE_LIGHT_M_MAX: f64 = 8.0;
 
@@ -109,6 +118,9 @@ impl Swarm {
         let scene = self.past.front().unwrap_or(&self.now);
         let heading_rad = scene.headings_rad[observer];
         for (idx, seen) in nearby.iter().enumerate() {
+            if self.is_unlit(seen.target) {
+                continue;
+            }
             if sensing.missed > 0.0 && self.rng.random::<f64>() < sensing.missed {
                 continue;
             }
@@ -143,8 +155,34 @@ impl Swarm {
 
     /// Whether a drone's cameras give no image now.
     pub fn is_blinded(&self, drone: usize) -> bool {
-        let time_s = self.step_count as f64 * STEP_S;
-        drone < self.settings.sensing.blinded && time_s > BLINDED_AFTER_S
+        let sensing = &self.settings.sensing;
+        let end_s = FAULT_AFTER_S + sensing.blinded_s;
+        drone < sensing.blinded && self.has_fault() && self.step_count as f64 * STEP_S <= end_s
+    }
+
+    /// Whether a drone's lights are out.
+    pub fn is_unlit(&self, drone: usize) -> bool {
+        drone + self.settings.sensing.unlit >= self.now.positions.len()
+    }
+
+    /// Whether the time of faults has come.
+    pub(super) fn has_fault(&self) -> bool {
+        self.step_count as f64 * STEP_S > FAULT_AFTER_S
+    }
+
+    /// How many others with lights are in range and view of a drone's cameras.
+    pub fn in_view_count(&mut self, observer: usize) -> usize {
+        if self.is_blinded(observer) {
+            return 0;
+        }
+        let mut nearby = std::mem::take(&mut self.nearby);
+        self.collect_nearby(observer, &mut nearby);
+        let count = nearby
+            .iter()
+            .filter(|seen| !self.is_unlit(seen.target))
+            .count();
+        self.nearby = nearby;
+        count
     }
 
     /// Everybody in range and view, the nearest first.
@@ -160,6 +198,7 @@ impl Swarm {
             let distance_squared = offset.norm_squared();
             if distance_squared > sensing.bright_m * sensing.bright_m
                 || target == observer
+                || !self.is_aloft(target)
                 || distance_squared == 0.0
             {
                 continue;
