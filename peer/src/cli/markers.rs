@@ -25,6 +25,11 @@ pub struct MarkersArguments {
     /// Where to put a PNG for each image, with what was found in it.
     #[arg(long, value_name = "DIR")]
     pub annotate: Option<PathBuf>,
+    /// Direction from one light of a pair to the other in the image, in degrees from its x axis
+    /// (right) towards its y axis (down): 90 for lights one above the other, 0 side by side.
+    #[arg(long, value_name = "DEGREES", default_value_t = 90.0, value_parser = parse_baseline,
+          allow_negative_numbers = true)]
+    pub baseline: f64,
     /// Print one JSON object.
     #[arg(long)]
     pub json: bool,
@@ -90,7 +95,8 @@ pub fn run(arguments: &MarkersArguments) -> anyhow::Result<Exit> {
     if let Some(folder) = &arguments.annotate {
         prepare_folder(folder, &arguments.images)?;
     }
-    let mut camera = CameraMarkers::new(FinderSettings::default(), TrackerSettings::default(), 0);
+    let finder = finder_settings(arguments.baseline);
+    let mut camera = CameraMarkers::new(finder, TrackerSettings::default(), 0);
     let mut summary = MarkersSummary {
         images: Vec::new(),
         images_with_pair: 0,
@@ -132,6 +138,20 @@ pub fn run(arguments: &MarkersArguments) -> anyhow::Result<Exit> {
         listed.len()
     ));
     Ok(Exit::DoneWithLoss)
+}
+
+fn finder_settings(baseline_degrees: f64) -> FinderSettings {
+    FinderSettings {
+        baseline_rad: baseline_degrees.to_radians(),
+        ..FinderSettings::default()
+    }
+}
+
+fn parse_baseline(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|degrees: &f64| (-360.0..=360.0).contains(degrees))
+        .ok_or_else(|| "expected an angle from -360 to 360 degrees".to_owned())
 }
 
 /// Makes the folder for annotated images, which must not replace those that are read.

@@ -14,13 +14,14 @@ fn arguments(images: &Path, annotate: Option<PathBuf>) -> MarkersArguments {
     MarkersArguments {
         images: images.to_owned(),
         annotate,
+        baseline: 90.0,
         json: false,
     }
 }
 
 /// Looks at every image of a folder as the command does.
-fn look(folder: &Path) -> MarkersSummary {
-    let mut camera = CameraMarkers::new(FinderSettings::default(), TrackerSettings::default(), 0);
+fn look(folder: &Path, finder: FinderSettings) -> MarkersSummary {
+    let mut camera = CameraMarkers::new(finder, TrackerSettings::default(), 0);
     let mut summary = MarkersSummary {
         images: Vec::new(),
         images_with_pair: 0,
@@ -41,7 +42,7 @@ fn pairs_in_a_folder_are_found_annotated_and_followed() {
     for idx in 0..4 {
         write_pgm(&folder.path().join(format!("{idx}.pgm")), &frame.image);
     }
-    let summary = look(folder.path());
+    let summary = look(folder.path(), FinderSettings::default());
     assert_eq!(
         (
             summary.images_with_pair,
@@ -63,6 +64,29 @@ fn pairs_in_a_folder_are_found_annotated_and_followed() {
     let picture = dataset::read_grey(&annotated.join("2.png")).unwrap();
     assert_eq!(picture.width(), 3 * 324);
     assert!(picture.height() > 3 * 244, "there is room for the legend");
+}
+
+/// A picture on its side has its pairs side by side.
+fn on_its_side(image: &camera::Image) -> camera::Image {
+    let (width, height) = (image.height(), image.width());
+    let places = (0..height).flat_map(|y| (0..width).map(move |x| (y, x)));
+    let pixels = places.map(|(x, y)| image.get(x, y)).collect();
+    camera::Image::from_pixels(width, height, pixels).unwrap()
+}
+
+#[test]
+fn pairs_side_by_side_are_found_where_they_are_expected() {
+    let folder = tempfile::tempdir().unwrap();
+    let image = on_its_side(&MarkerScene::lab().draw(3).image);
+    write_pgm(&folder.path().join("0.pgm"), &image);
+    for (baseline, expected) in [(90.0, 0), (0.0, 1), (180.0, 1)] {
+        let finder = finder_settings(baseline);
+        assert_eq!(
+            look(folder.path(), finder).images_with_pair,
+            expected,
+            "{baseline}"
+        );
+    }
 }
 
 #[test]
@@ -113,7 +137,7 @@ fn real_pictures_without_our_lights_confirm_no_track() {
         println!("skipped: no data in {}", folder.display());
         return;
     }
-    let summary = look(&folder);
+    let summary = look(&folder, FinderSettings::default());
     assert_eq!(summary.images_with_confirmed_track, 0);
     // A still camera sees the same picture again and again.
     for image in &summary.images {
