@@ -4,6 +4,7 @@
 //! velocities, and neither knows the other.
 
 mod campaign;
+mod eyes;
 pub mod figures;
 mod flight;
 mod following;

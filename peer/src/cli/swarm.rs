@@ -63,6 +63,8 @@ pub enum SensingArgument {
     Ideal,
     /// Lag 0.3 s, latency 0.2 s, 0.3 px, 10 % missed.
     Realistic,
+    /// Pictures of seven cameras, in which marker vision finds the lights; up to 20 drones.
+    Rendered,
 }
 
 pub fn run(arguments: &SwarmArguments) -> anyhow::Result<Exit> {
@@ -101,6 +103,7 @@ fn scenario_of(arguments: &SwarmArguments) -> Result<Scenario, UsageError> {
     let sensing = match arguments.sensing {
         SensingArgument::Ideal => SensingName::Ideal,
         SensingArgument::Realistic => SensingName::Realistic,
+        SensingArgument::Rendered => SensingName::Rendered,
     };
     let mut scenario = Scenario::new(rule, sensing);
     scenario.swarm.drone_count = usize::from(arguments.drones);
@@ -111,6 +114,9 @@ fn scenario_of(arguments: &SwarmArguments) -> Result<Scenario, UsageError> {
             .set(text)
             .map_err(|error| UsageError(format!("--set {text}: {error}")))?;
     }
+    scenario
+        .check()
+        .map_err(|error| UsageError(error.to_string()))?;
     Ok(scenario)
 }
 
@@ -217,6 +223,11 @@ fn print_summary(arguments: &SwarmArguments, summary: &Summary) {
         known(summary.safety, 5),
     ));
     output::print_line(&format!(
+        "seen {} of the others in view; {} of what was seen was nobody",
+        known(summary.seen_share, 3),
+        known(summary.false_share, 4),
+    ));
+    output::print_line(&format!(
         "pictures and recording: {}",
         arguments.out.display()
     ));
@@ -279,12 +290,15 @@ mod tests {
             [
                 "collisions",
                 "converged",
+                "false_share",
                 "hits",
                 "min_distance_m",
                 "nn_mean_m",
                 "nn_sd_m",
                 "order",
+                "pair_distance_m_p50",
                 "safety",
+                "seen_share",
                 "settle_s_p50",
                 "settle_s_p95",
                 "spacing_m_p50",

@@ -7,7 +7,7 @@ use std::thread;
 use serde::Serialize;
 
 use super::flight::{FlightRecord, Moment, fly};
-use super::metrics::Mean;
+use super::metrics::{Mean, Totals};
 use super::scenario::Scenario;
 
 /// The names are those of the command line's contract; unknown numbers are `null`.
@@ -20,6 +20,8 @@ pub struct Summary {
     /// At the end: the median over all runs of the distances of adjacent drones, of whom no third
     /// one is between; of more than three drones, of the mean distance to the nearest.
     pub spacing_m_p50: Option<f64>,
+    /// The same of all pairs of up to three drones, the ends of chains included.
+    pub pair_distance_m_p50: Option<f64>,
     pub min_distance_m: Option<f64>,
     /// Runs with any pair under half a metre.
     pub collisions: usize,
@@ -32,6 +34,10 @@ pub struct Summary {
     pub safety: Option<f64>,
     pub nn_mean_m: Option<f64>,
     pub nn_sd_m: Option<f64>,
+    /// Of the others in range and view, how many a drone sees at any time.
+    pub seen_share: Option<f64>,
+    /// Of all that was taken for a neighbour, how much was none.
+    pub false_share: Option<f64>,
 }
 
 /// Flies a scenario `run_count` times on as many threads as there are cores.
@@ -95,6 +101,19 @@ pub fn summarise(records: &[FlightRecord]) -> Summary {
         .flat_map(|record| adjacent(&record.final_m))
         .collect();
     spacing_m.sort_by(f64::total_cmp);
+    let mut pair_distances_m: Vec<f64> = records
+        .iter()
+        .flat_map(|record| record.final_m.iter().copied())
+        .collect();
+    pair_distances_m.sort_by(f64::total_cmp);
+    let sum = |part: fn(&Totals) -> usize| -> usize {
+        records.iter().map(|record| part(&record.totals)).sum()
+    };
+    let share = |part: usize, whole: usize| (whole > 0).then(|| part as f64 / whole as f64);
+    let (seen, false_sightings) = (
+        sum(|totals| totals.seen),
+        sum(|totals| totals.false_sightings),
+    );
     let joined = |part: fn(&FlightRecord) -> &Mean| {
         let mut all = Mean::default();
         records.iter().for_each(|record| all.join(part(record)));
@@ -115,15 +134,18 @@ pub fn summarise(records: &[FlightRecord]) -> Summary {
         settle_s_p50: percentile(&settle_s, 0.5),
         settle_s_p95: percentile(&settle_s, 0.95),
         spacing_m_p50: percentile(&spacing_m, 0.5),
+        pair_distance_m_p50: percentile(&pair_distances_m, 0.5),
         min_distance_m: Some(min_distance_m).filter(|value| value.is_finite()),
         collisions,
         unseen: collisions - with_seen,
-        hits: records.iter().map(|record| record.totals.hits).sum(),
+        hits: sum(|totals| totals.hits),
         order: joined(|record| &record.totals.order).mean(),
         union: joined(|record| &record.totals.union).mean(),
         safety: joined(|record| &record.totals.safety).mean(),
         nn_mean_m: nearest.mean(),
         nn_sd_m: nearest.standard_deviation(),
+        seen_share: share(seen, sum(|totals| totals.in_view)),
+        false_share: share(false_sightings, seen + false_sightings),
     }
 }
 

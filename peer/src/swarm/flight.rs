@@ -46,8 +46,11 @@ const TAIL_S: f64 = 20.0;
 pub fn fly(scenario: &Scenario, seed: u64, mut watch: impl FnMut(&Moment<'_>)) -> FlightRecord {
     let mut swarm = Swarm::new(scenario.swarm.clone(), seed);
     let drone_count = swarm.positions().len();
-    let mut cockpit = Cockpit::new(scenario);
-    let mut pilots: Vec<Pilot> = (0..drone_count).map(|_| Pilot::new(scenario)).collect();
+    let mut cockpit = Cockpit::new(scenario, seed);
+    let is_dark = |drone| scenario.swarm.sensing.unlit_known && swarm.is_unlit(drone);
+    let mut pilots: Vec<Pilot> = (0..drone_count)
+        .map(|drone| Pilot::new(scenario, !is_dark(drone)))
+        .collect();
     let step_count = (scenario.duration_s / STEP_S).round() as usize;
     let tail_steps = (TAIL_S / STEP_S).round() as usize;
     let mut meter = Meter::new(&swarm, step_count.saturating_sub(tail_steps));
@@ -57,6 +60,9 @@ pub fn fly(scenario: &Scenario, seed: u64, mut watch: impl FnMut(&Moment<'_>)) -
         for (drone, pilot) in pilots.iter_mut().enumerate() {
             let glimpses = cockpit.look(&mut swarm, drone);
             meter.saw(drone, glimpses);
+            if meter.is_sampled() {
+                meter.could_see(swarm.in_view_count(drone));
+            }
             steering[drone] = cockpit.steer(pilot, &swarm, drone);
         }
         let report = meter.measure(&swarm, &steering);
@@ -72,6 +78,11 @@ pub fn fly(scenario: &Scenario, seed: u64, mut watch: impl FnMut(&Moment<'_>)) -
     }
     let reach_m = scenario.swarm.sensing.bright_m;
     let curves = curves.0;
+    let positions = swarm.positions().iter().enumerate();
+    let aloft: Vec<Vector3<f64>> = positions
+        .filter(|(drone, _)| swarm.is_aloft(*drone))
+        .map(|(_, position)| *position)
+        .collect();
     let final_m: Vec<f64> = curves.iter().map(|curve| end_of(curve)).collect();
     FlightRecord {
         seed,
@@ -79,7 +90,7 @@ pub fn fly(scenario: &Scenario, seed: u64, mut watch: impl FnMut(&Moment<'_>)) -
         settle_s: settle_s(&curves, &final_m),
         final_m,
         curves,
-        connectivity: graph::connectivity(swarm.positions(), reach_m),
+        connectivity: graph::connectivity(&aloft, reach_m),
         drone_seconds: scenario.duration_s * drone_count as f64,
     }
 }
@@ -132,5 +143,7 @@ fn settle_s(curves: &[Vec<f32>], final_m: &[f64]) -> Option<f64> {
     (settled_at + end_steps < length || length == 0).then_some(settled_at as f64 * STEP_S)
 }
 
+#[cfg(test)]
+mod degraded;
 #[cfg(test)]
 mod tests;

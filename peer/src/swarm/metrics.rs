@@ -27,6 +27,9 @@ pub struct Meter {
     has_hit: Vec<bool>,
     nearest_m: Vec<f64>,
     commands: Vec<Vector3<f64>>,
+    /// Drones in the air, and where they are.
+    aloft: Vec<usize>,
+    places: Vec<Vector3<f64>>,
     pub totals: Totals,
 }
 
@@ -47,6 +50,10 @@ pub struct Totals {
     pub nearest_m: Mean,
     /// Of the velocity beside the nominal one, in the last seconds.
     pub residual_squared: Mean,
+    /// In sampled steps: others in view, those of them that were seen, and sightings of nobody.
+    pub in_view: usize,
+    pub seen: usize,
+    pub false_sightings: usize,
     pub switches: usize,
     pub command_step_mps_max: f64,
 }
@@ -107,6 +114,8 @@ impl Meter {
             has_hit: vec![false; drone_count],
             nearest_m: vec![f64::INFINITY; drone_count],
             commands: Vec::new(),
+            aloft: Vec::new(),
+            places: Vec::new(),
             totals: Totals {
                 min_distance_m: f64::INFINITY,
                 clearance_m_min: f64::INFINITY,
@@ -117,19 +126,43 @@ impl Meter {
 
     pub fn saw(&mut self, observer: usize, glimpses: &[Glimpse]) {
         let row = observer * self.drone_count;
-        for target in glimpses.iter().filter_map(|glimpse| glimpse.target) {
-            self.last_seen[row + target] = self.step_count as u32 + 1;
+        let now = self.step_count as u32 + 1;
+        let is_sampled = self.is_sampled();
+        for glimpse in glimpses {
+            let Some(target) = glimpse.target else {
+                self.totals.false_sightings += usize::from(is_sampled);
+                continue;
+            };
+            let last_seen = std::mem::replace(&mut self.last_seen[row + target], now);
+            self.totals.seen += usize::from(is_sampled && last_seen != now);
         }
+    }
+
+    /// Whether costly numbers are taken in this step.
+    pub fn is_sampled(&self) -> bool {
+        self.step_count.is_multiple_of(SAMPLE_STEPS)
+    }
+
+    /// How many others were in view of a drone, in a sampled step.
+    pub fn could_see(&mut self, in_view_count: usize) {
+        self.totals.in_view += in_view_count;
     }
 
     /// Takes the places before the step and the commands for it.
     pub fn measure(&mut self, swarm: &Swarm, steering: &[Steering]) -> StepReport {
-        self.measure_pairs(swarm.positions());
+        self.aloft.clear();
+        self.aloft
+            .extend((0..self.drone_count).filter(|drone| swarm.is_aloft(*drone)));
+        self.places.clear();
+        let positions = swarm.positions();
+        self.places
+            .extend(self.aloft.iter().map(|drone| positions[*drone]));
+        self.measure_pairs();
         self.measure_obstacles(swarm);
         self.measure_commands(steering);
-        let is_sampled = self.step_count.is_multiple_of(SAMPLE_STEPS);
+        let is_sampled = self.is_sampled();
         if is_sampled {
-            self.measure_cohesion(swarm);
+            self.measure_cohesion();
         }
         self.measure_order(swarm, is_sampled);
         let mut nearest = Mean::default();
@@ -145,25 +178,28 @@ impl Meter {
         }
     }
 
-    fn measure_pairs(&mut self, positions: &[Vector3<f64>]) {
+    /// The nearest to each drone in the air; to the others nothing is near.
+    fn measure_pairs(&mut self) {
         self.nearest_m.fill(f64::INFINITY);
         let mut near_count = 0;
-        for left in 0..positions.len() {
+        let count = self.aloft.len();
+        for left in 0..count {
             let mut nearest_squared = f64::INFINITY;
-            for right in left + 1..positions.len() {
-                let squared = (positions[left] - positions[right]).norm_squared();
+            for right in left + 1..count {
+                let squared = (self.places[left] - self.places[right]).norm_squared();
                 nearest_squared = nearest_squared.min(squared);
-                let right_m = &mut self.nearest_m[right];
+                let right_m = &mut self.nearest_m[self.aloft[right]];
                 *right_m = right_m.min(squared);
                 if squared < COLLISION_M * COLLISION_M {
                     near_count += 1;
-                    self.collide(left, right);
+                    self.collide(self.aloft[left], self.aloft[right]);
                 }
             }
-            self.nearest_m[left] = self.nearest_m[left].min(nearest_squared).sqrt();
-            self.totals.min_distance_m = self.totals.min_distance_m.min(self.nearest_m[left]);
+            let left_m = &mut self.nearest_m[self.aloft[left]];
+            *left_m = left_m.min(nearest_squared).sqrt();
+            self.totals.min_distance_m = self.totals.min_distance_m.min(*left_m);
         }
-        let pair_count = positions.len() * positions.len().saturating_sub(1) / 2;
+        let pair_count = count * count.saturating_sub(1) / 2;
         if pair_count > 0 {
             let share = near_count as f64 / pair_count as f64;
             self.totals.safety.add(1.0 - share);
@@ -188,11 +224,11 @@ impl Meter {
 
     fn measure_obstacles(&mut self, swarm: &Swarm) {
         for cylinder in swarm.cylinders() {
-            for (drone, position) in swarm.positions().iter().enumerate() {
+            for (drone, position) in self.aloft.iter().zip(&self.places) {
                 let clearance_m = cylinder.clearance_m(position);
                 self.totals.clearance_m_min = self.totals.clearance_m_min.min(clearance_m);
                 if cylinder.is_hit_by(position)
-                    && !std::mem::replace(&mut self.has_hit[drone], true)
+                    && !std::mem::replace(&mut self.has_hit[*drone], true)
                 {
                     self.totals.hits += 1;
                 }
@@ -217,25 +253,24 @@ impl Meter {
     /// The mean cosine between all pairs of velocities, without looking at pairs: the square of
     /// the sum of unit vectors is N and twice the sum over pairs.
     fn measure_order(&mut self, swarm: &Swarm, is_sampled: bool) {
-        if self.nominal_mps <= 0.0 || self.drone_count < 2 {
+        if self.nominal_mps <= 0.0 || self.aloft.len() < 2 {
             return;
         }
-        let units: Vec<Vector3<f64>> = swarm
-            .velocities()
-            .iter()
+        let velocities = self.aloft.iter().map(|drone| swarm.velocities()[*drone]);
+        let units: Vec<Vector3<f64>> = velocities
             .map(|velocity| velocity.try_normalize(1e-9).unwrap_or_default())
             .collect();
         let sum: Vector3<f64> = units.iter().sum();
         let own: f64 = units.iter().map(Vector3::norm_squared).sum();
-        let count = self.drone_count as f64;
+        let count = units.len() as f64;
         let order = (sum.norm_squared() - own) / (count * (count - 1.0));
         self.totals.order.add(order);
         if !is_sampled {
             return;
         }
-        for (drone, position) in swarm.positions().iter().enumerate() {
+        for (drone, position) in self.places.iter().enumerate() {
             let mut of_neighbours = Mean::default();
-            for (other, other_position) in swarm.positions().iter().enumerate() {
+            for (other, other_position) in self.places.iter().enumerate() {
                 if other != drone && graph::is_near(position, other_position, self.reach_m) {
                     of_neighbours.add(units[drone].dot(&units[other]));
                 }
@@ -246,19 +281,21 @@ impl Meter {
         }
     }
 
-    fn measure_cohesion(&mut self, swarm: &Swarm) {
-        let component_count = graph::component_count(swarm.positions(), self.reach_m);
-        if self.drone_count > 1 {
-            let apart = (component_count - 1) as f64 / (self.drone_count - 1) as f64;
+    fn measure_cohesion(&mut self) {
+        let component_count = graph::component_count(&self.places, self.reach_m);
+        if self.places.len() > 1 {
+            let apart = (component_count - 1) as f64 / (self.places.len() - 1) as f64;
             self.totals.union.add(1.0 - apart);
         }
     }
 
     fn measure_tail(&mut self, swarm: &Swarm, nearest: &Mean) {
         self.totals.nearest_m.join(nearest);
-        for (velocity, heading) in swarm.velocities().iter().zip(swarm.headings_rad()) {
-            let nominal = Vector3::new(heading.cos(), heading.sin(), 0.0) * self.nominal_mps;
-            let residual = (velocity - nominal).norm_squared();
+        for drone in &self.aloft {
+            let heading_rad = swarm.headings_rad()[*drone];
+            let nominal =
+                Vector3::new(heading_rad.cos(), heading_rad.sin(), 0.0) * self.nominal_mps;
+            let residual = (swarm.velocities()[*drone] - nominal).norm_squared();
             self.totals.residual_squared.add(residual);
         }
     }

@@ -7,6 +7,7 @@ use keeping::{
 use nalgebra::Vector3;
 use sim::swarm::{Glimpse, LightBaseline, STEP_S, SensingSettings, Steering, Surface, Swarm};
 
+use super::eyes::Eyes;
 use super::scenario::{RuleName, Scenario};
 
 /// One drone's rule, with what it remembers.
@@ -27,13 +28,21 @@ pub struct Cockpit {
     surfaces: Vec<Surface>,
     sightings: Vec<Sighting>,
     obstacles: Vec<Obstacle>,
+    eyes: Option<Eyes>,
 }
 
 impl Pilot {
-    pub fn new(scenario: &Scenario) -> Self {
+    /// - `has_lights`: as far as the drone knows.
+    pub fn new(scenario: &Scenario, has_lights: bool) -> Self {
         match scenario.rule {
             RuleName::Paper => Self::Paper(Box::new(PaperRule::new(scenario.paper))),
-            RuleName::Gabriel => Self::Gabriel(Box::new(Keeper::new(scenario.keeper))),
+            RuleName::Gabriel => {
+                let mut keeper = Keeper::new(scenario.keeper);
+                if !has_lights {
+                    keeper.lose_lights();
+                }
+                Self::Gabriel(Box::new(keeper))
+            }
         }
     }
 }
@@ -42,43 +51,66 @@ impl Pilot {
 const HEADING_DIFFERENCE_SIGMA: f64 = 1.5;
 
 impl Cockpit {
-    pub fn new(scenario: &Scenario) -> Self {
+    pub fn new(scenario: &Scenario, seed: u64) -> Self {
         let sensing: &SensingSettings = &scenario.swarm.sensing;
         let ideal = MarkerModel::default();
         let spread_rad = scenario.swarm.heading_spread_rad;
-        Self {
-            markers: MarkerModel {
-                baseline: match sensing.baseline {
-                    LightBaseline::AllRound => Baseline::AllRound,
-                    LightBaseline::Vertical => Baseline::Vertical,
-                    LightBaseline::Horizontal => Baseline::Horizontal,
-                },
-                length_m: sensing.light_distance_m,
-                heading_difference_rad_max: ideal.heading_difference_rad_max
-                    + HEADING_DIFFERENCE_SIGMA * spread_rad,
-                ..ideal
+        let markers = MarkerModel {
+            baseline: match sensing.baseline {
+                LightBaseline::AllRound => Baseline::AllRound,
+                LightBaseline::Vertical => Baseline::Vertical,
+                LightBaseline::Horizontal => Baseline::Horizontal,
             },
+            length_m: sensing.light_distance_m,
+            heading_difference_rad_max: ideal.heading_difference_rad_max
+                + HEADING_DIFFERENCE_SIGMA * spread_rad,
+            ..ideal
+        };
+        let view = FieldOfView {
+            azimuth_rad: 0.0,
+            half_width_rad: sensing.azimuth_rad_max,
+            elevation_rad_max: sensing.elevation_rad_max,
+        };
+        let drone_count = scenario.swarm.drone_count;
+        let eyes = scenario
+            .pictures
+            .map(|settings| Eyes::new(&settings, view, &markers, drone_count, seed));
+        Self {
+            markers,
             focal_px: sensing.focal_px,
             noise_px: sensing.noise_px,
             separation_px_min: sensing.separation_px_min,
-            view: FieldOfView {
-                azimuth_rad: 0.0,
-                half_width_rad: sensing.azimuth_rad_max,
-                elevation_rad_max: sensing.elevation_rad_max,
-            },
+            view,
             nominal_mps: scenario.swarm.speed_mps,
             glimpses: Vec::new(),
             surfaces: Vec::new(),
             sightings: Vec::new(),
             obstacles: Vec::new(),
+            eyes,
         }
     }
 
     /// Lets a drone look, and gives what it saw for those who check.
     pub fn look(&mut self, swarm: &mut Swarm, drone: usize) -> &[Glimpse] {
-        swarm.glimpses(drone, &mut self.glimpses);
-        swarm.surfaces(drone, &mut self.surfaces);
         self.sightings.clear();
+        if let Some(eyes) = &mut self.eyes {
+            let seen = eyes.look(swarm, drone, &mut self.glimpses);
+            self.sightings.extend(seen);
+        } else {
+            self.look_without_pictures(swarm, drone);
+        }
+        swarm.surfaces(drone, &mut self.surfaces);
+        self.obstacles.clear();
+        self.obstacles
+            .extend(self.surfaces.iter().map(|surface| Obstacle {
+                direction: surface.direction,
+                clearance_m: surface.clearance_m,
+            }));
+        &self.glimpses
+    }
+
+    fn look_without_pictures(&mut self, swarm: &mut Swarm, drone: usize) {
+        swarm.glimpses(drone, &mut self.glimpses);
         for glimpse in &self.glimpses {
             let separation = match glimpse.separation_px {
                 Some(separation_px) => Separation::Resolved {
@@ -94,13 +126,6 @@ impl Cockpit {
                 range: self.markers.range(&glimpse.direction, separation),
             });
         }
-        self.obstacles.clear();
-        self.obstacles
-            .extend(self.surfaces.iter().map(|surface| Obstacle {
-                direction: surface.direction,
-                clearance_m: surface.clearance_m,
-            }));
-        &self.glimpses
     }
 
     /// What the pilot makes of what [`Self::look`] saw.

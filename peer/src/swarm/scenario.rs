@@ -1,7 +1,7 @@
 //! What is flown: the rule, the swarm, its senses, and every number that can be set by name.
 
 use keeping::{HeadingRule, KeeperSettings, PaperRuleSettings};
-use sim::swarm::{LightBaseline, SensingSettings, SwarmSettings};
+use sim::swarm::{LightBaseline, PictureSettings, SensingSettings, SwarmSettings};
 
 /// Which rule the drones follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +19,8 @@ pub enum SensingName {
     Ideal,
     /// Lag 0.3 s, latency 0.2 s, 0.3 px, 10 % missed, lights that merge, bodies that hide.
     Realistic,
+    /// Rendered pictures of seven cameras, lag 0.3 s, latency 0.2 s.
+    Rendered,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -27,8 +29,13 @@ pub struct Scenario {
     pub swarm: SwarmSettings,
     pub paper: PaperRuleSettings,
     pub keeper: KeeperSettings,
+    /// Drones see pictures.
+    pub pictures: Option<PictureSettings>,
     pub duration_s: f64,
 }
+
+/// More drones than this take too long to render.
+const PICTURED_COUNT_MAX: usize = 20;
 
 /// Why a number could not be set.
 #[derive(Debug, PartialEq, thiserror::Error)]
@@ -43,6 +50,12 @@ pub enum SettingError {
         expected: &'static str,
         value: String,
     },
+    #[error("drones in pictures carry all-round lights; leave marker_baseline out")]
+    PicturedBaseline,
+    #[error("pictures are rendered for at most {PICTURED_COUNT_MAX} drones, got {drone_count}")]
+    PicturedCount { drone_count: usize },
+    #[error("{name} is a setting of rendered pictures only: --sensing rendered")]
+    NotPictured { name: &'static str },
 }
 
 impl Scenario {
@@ -52,11 +65,15 @@ impl Scenario {
             swarm: SwarmSettings::default(),
             paper: PaperRuleSettings::default(),
             keeper: KeeperSettings::default(),
+            pictures: None,
             duration_s: 120.0,
         };
-        if sensing == SensingName::Realistic {
+        if sensing != SensingName::Ideal {
             scenario.swarm.lag_s = 0.3;
-            scenario.swarm.sensing = SensingSettings {
+        }
+        scenario.swarm.sensing = match sensing {
+            SensingName::Ideal => SensingSettings::default(),
+            SensingName::Realistic => SensingSettings {
                 latency_s: 0.2,
                 noise_px: 0.3,
                 missed: 0.1,
@@ -64,9 +81,35 @@ impl Scenario {
                 occlusion: true,
                 bright_m: 14.0,
                 ..SensingSettings::default()
-            };
+            },
+            SensingName::Rendered => SensingSettings {
+                latency_s: 0.2,
+                // Wider lenses than the paper's, and lights as much farther apart.
+                light_distance_m: 0.15,
+                occlusion: true,
+                bright_m: 11.0,
+                ..SensingSettings::default()
+            },
+        };
+        if sensing == SensingName::Rendered {
+            scenario.pictures = Some(PictureSettings::default());
         }
         scenario
+    }
+
+    /// Whether all that was set goes together.
+    pub fn check(&self) -> Result<(), SettingError> {
+        let drone_count = self.swarm.drone_count;
+        if self.pictures.is_none() {
+            return Ok(());
+        }
+        if self.swarm.sensing.baseline != LightBaseline::AllRound {
+            return Err(SettingError::PicturedBaseline);
+        }
+        if drone_count > PICTURED_COUNT_MAX {
+            return Err(SettingError::PicturedCount { drone_count });
+        }
+        Ok(())
     }
 
     /// Sets one number by name: `latency_s=0.5`.
@@ -75,16 +118,18 @@ impl Scenario {
             text: text.to_owned(),
         })?;
         let known = || {
-            let names: Vec<&str> = SETTINGS.iter().map(|setting| setting.name).collect();
+            let names: Vec<&str> = settings().map(|setting| setting.name).collect();
             names.join(", ")
         };
-        let setting = SETTINGS
-            .iter()
+        let setting = settings()
             .find(|setting| setting.name == name)
             .ok_or_else(|| SettingError::Name {
                 name: name.to_owned(),
                 known: known(),
             })?;
+        if self.pictures.is_none() && PICTURED.iter().any(|pictured| pictured.name == name) {
+            return Err(SettingError::NotPictured { name: setting.name });
+        }
         (setting.apply)(self, value).ok_or_else(|| SettingError::Value {
             name: setting.name,
             expected: setting.expected,
@@ -122,7 +167,7 @@ macro_rules! numbers {
     };
 }
 
-const NUMBERS: [Setting; 24] = numbers! {
+const NUMBERS: [Setting; 30] = numbers! {
     "duration_s", "10 to 3600 s", 10.0..=3600.0, |s, v| s.duration_s = v;
     "latency_s", "0 to 5 s", 0.0..=5.0, |s, v| s.swarm.sensing.latency_s = v;
     "lag_s", "0 to 5 s", 0.0..=5.0, |s, v| s.swarm.lag_s = v;
@@ -143,6 +188,13 @@ const NUMBERS: [Setting; 24] = numbers! {
     "occlusion", "0 or 1", 0.0..=1.0, |s, v| s.swarm.sensing.occlusion = v > 0.5;
     "blinded", "a number of drones", 0.0..=1000.0,
         |s, v| s.swarm.sensing.blinded = v as usize;
+    "blinded_s", "0 to 3600 s", 0.0..=3600.0, |s, v| s.swarm.sensing.blinded_s = v;
+    "unlit", "a number of drones", 0.0..=1000.0, |s, v| s.swarm.sensing.unlit = v as usize;
+    "unlit_known", "0 or 1", 0.0..=1.0, |s, v| s.swarm.sensing.unlit_known = v > 0.5;
+    "excess_mps_max", "0.1 to 10 m/s", 0.1..=10.0, |s, v| s.keeper.safety.excess_mps_max = v;
+    "dropped", "a number of drones", 0.0..=1000.0, |s, v| s.swarm.dropped = v as usize;
+    "light_distance_m", "0.01 to 1 m", 0.01..=1.0,
+        |s, v| s.swarm.sensing.light_distance_m = v;
     "wind_mps", "0 to 5 m/s", 0.0..=5.0, |s, v| s.swarm.wind_mps = v;
     "heading_spread_deg", "0 to 90 degrees", 0.0..=90.0, |s, v| {
         s.swarm.heading_spread_rad = v.to_radians();
@@ -185,15 +237,29 @@ const BASELINE: Setting = Setting {
     },
 };
 
-const SETTINGS: [&Setting; 25] = {
-    let mut settings = [&BASELINE; 25];
-    let mut idx = 0;
-    while idx < NUMBERS.len() {
-        settings[idx] = &NUMBERS[idx];
-        idx += 1;
-    }
-    settings
-};
+/// Those of rendered pictures.
+const PICTURED: [Setting; 2] = [
+    Setting {
+        name: "lamps",
+        expected: "0 to 100 lamps",
+        apply: |scenario, text| {
+            scenario.pictures.as_mut()?.lamp_count = number(text, 0.0, 100.0)? as usize;
+            Some(())
+        },
+    },
+    Setting {
+        name: "noise_levels",
+        expected: "0 to 50 grey levels",
+        apply: |scenario, text| {
+            scenario.pictures.as_mut()?.noise = number(text, 0.0, 50.0)?;
+            Some(())
+        },
+    },
+];
+
+fn settings() -> impl Iterator<Item = &'static Setting> {
+    NUMBERS.iter().chain([&BASELINE]).chain(&PICTURED)
+}
 
 #[cfg(test)]
 mod tests {
@@ -217,6 +283,21 @@ mod tests {
         }
         assert_eq!(scenario.swarm.sensing.latency_s, 1.0);
         assert_eq!(scenario.swarm.sensing.baseline, LightBaseline::Horizontal);
+    }
+
+    #[test]
+    fn settings_of_pictures_are_for_pictures() {
+        let error = scenario().set("lamps=3").unwrap_err();
+        assert!(error.to_string().contains("--sensing rendered"), "{error}");
+        let mut pictured = Scenario::new(RuleName::Gabriel, SensingName::Rendered);
+        assert_eq!(pictured.set("lamps=3"), Ok(()));
+        assert_eq!(pictured.pictures.unwrap().lamp_count, 3);
+        assert_eq!(pictured.check(), Ok(()));
+        pictured.swarm.drone_count = 21;
+        assert!(pictured.check().unwrap_err().to_string().contains("21"));
+        pictured.swarm.drone_count = 2;
+        assert_eq!(pictured.set("marker_baseline=vertical"), Ok(()));
+        assert_eq!(pictured.check(), Err(SettingError::PicturedBaseline));
     }
 
     #[test]

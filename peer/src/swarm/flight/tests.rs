@@ -79,3 +79,22 @@ fn far_lights_bring_a_lone_drone_back() {
     }
     assert!(far_count > 0);
 }
+
+/// Goal: the loop through pictures is closed. Method: three drones, each of which knows the
+/// others by their lights in seven rendered pictures a step alone, spread or gather to between
+/// the preferred distances abeam (3 m) and ahead (3.9 m), with the dead band of a tenth.
+#[test]
+fn three_drones_that_see_pictures_settle() {
+    let scenario = short(RuleName::Gabriel, SensingName::Rendered, 3);
+    let record = fly(&scenario, 4, |_| {});
+    let totals = &record.totals;
+    assert_eq!(totals.seen_collisions + totals.unseen_collisions, 0);
+    assert!(record.settle_s.is_some());
+    let nearest_m = totals.nearest_m.mean().unwrap();
+    assert!((2.7..4.3).contains(&nearest_m), "{nearest_m}");
+    assert!(
+        totals.seen as f64 > 0.9 * totals.in_view as f64,
+        "{totals:?}"
+    );
+    assert_eq!(totals.false_sightings, 0);
+}
