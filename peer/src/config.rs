@@ -78,26 +78,42 @@ pub struct PositionConfig {
     pub lever_arm_m: [f64; 3],
 }
 
-/// Holds a place behind another vehicle by the two lights that it carries, one above the other.
-/// Velocities go to the autopilot through the camera's stream driver.
+/// Holds a place among other vehicles by the two lights that each carries, one above the other.
+/// Velocities go to the autopilot, which holds the heading, through the camera's stream driver.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeepingConfig {
+    pub rule: KeepingRule,
     /// Between the lights. 0.02 to 2.
     pub light_distance_m: f64,
-    /// How far apart the lights shall be in the picture: focal length times their distance over
+    /// `follow`: how far apart the lights shall be in the picture: focal length times their distance over
     /// this is how far behind the place is. 3 to 50: less is far away and noisy.
     pub separation_px: f64,
-    /// Where between left and right of the picture they shall be; on the optical axis if not set.
+    /// `follow`: where between left and right of the picture they shall be; on the optical axis if not set.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lateral_px: Option<f64>,
     /// Centres of vehicles stay this far apart, whatever is commanded. 0.2 to 20.
     pub distance_m_min: f64,
-    /// Of what is commanded, in each direction. 0.05 to 10: faster follows a faster vehicle, and
+    /// `follow`: of what is commanded, in each direction. 0.05 to 10: faster follows a faster vehicle, and
     /// errs farther when the lights are lost.
     pub speed_mps_max: f64,
+    /// `gabriel`: between neighbours. 0.5 to 50.
+    pub preferred_m: f64,
+    /// `gabriel`: the speed common to the swarm, along the heading. 0 to 10.
+    pub speed_mps: f64,
     /// Velocities are sent at least so often, also between images. 2 to 200.
     pub rate_hz: f64,
+}
+
+/// Which place a vehicle holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum KeepingRule {
+    /// Behind one other vehicle, as in the paper's flight test.
+    #[default]
+    Follow,
+    /// Among all that it sees, by the first shell; with one camera it moves only where that looks.
+    Gabriel,
 }
 
 /// The session's place in the network.
@@ -162,11 +178,14 @@ impl Default for KeepingConfig {
     /// The paper's flight test.
     fn default() -> Self {
         Self {
+            rule: KeepingRule::Follow,
             light_distance_m: 0.1,
             separation_px: 10.0,
             lateral_px: None,
             distance_m_min: 0.8,
             speed_mps_max: 0.5,
+            preferred_m: 3.0,
+            speed_mps: 0.0,
             rate_hz: 20.0,
         }
     }
@@ -337,6 +356,8 @@ impl KeepingConfig {
         }
         check_within("distance_m_min", self.distance_m_min, 0.2..=20.0)?;
         check_within("speed_mps_max", self.speed_mps_max, 0.05..=10.0)?;
+        check_within("preferred_m", self.preferred_m, 0.5..=50.0)?;
+        check_within("speed_mps", self.speed_mps, 0.0..=10.0)?;
         check_within("rate_hz", self.rate_hz, 2.0..=200.0)
     }
 }

@@ -1,21 +1,19 @@
 //! The follower of the paper's flight test behind the safety filter: marker tracks of one camera
 //! in, a velocity out.
 
-use camera::CameraModel;
-use geometry::{Body, Camera, Transform};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 use crate::follower::{FeedForward, Follower, FollowerSettings, LightPair, PlanarVelocity};
 use crate::markers::{MarkerTrack, TrackId, TrackState};
+use crate::mount::CameraMount;
 use crate::safety::{self, Flight, Limit, Limits, OBSTACLE_COUNT_MAX, Obstacle, SafetySettings};
-use crate::sighting::{MarkerModel, Separation, Sighting};
+use crate::sighting::Sighting;
 use crate::tracks::{TrackSettings, Tracks};
 
 /// Where the vehicle holds its place, and what keeps it from coming too near.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardedFollowerSettings {
     pub follower: FollowerSettings,
-    pub marker: MarkerModel,
     pub tracks: TrackSettings,
     pub safety: SafetySettings,
     /// Time constant with which the vehicle takes up a commanded velocity. With a wrong one the
@@ -27,10 +25,10 @@ pub struct GuardedFollowerSettings {
 
 impl GuardedFollowerSettings {
     /// Behind a neighbour in the middle of the camera's picture, with feed-forward.
-    pub fn calibrated(camera: &CameraModel, marker: MarkerModel) -> Self {
-        let intrinsics = camera.intrinsics();
+    pub fn calibrated(mount: &CameraMount) -> Self {
+        let intrinsics = mount.camera.intrinsics();
         let feed_forward = FeedForward {
-            range_times_separation_m_px: intrinsics.fy * marker.length_m,
+            range_times_separation_m_px: intrinsics.fy * mount.markers.length_m,
             focal_px: intrinsics.fx,
             smoothing_s: 0.5,
         };
@@ -39,7 +37,6 @@ impl GuardedFollowerSettings {
                 feed_forward: Some(feed_forward),
                 ..FollowerSettings::calibrated(intrinsics.cx)
             },
-            marker,
             tracks: TrackSettings::default(),
             safety: SafetySettings::default(),
             lag_s: 0.3,
@@ -48,8 +45,8 @@ impl GuardedFollowerSettings {
     }
 
     /// How far behind the other the place is.
-    pub fn place_m(&self, camera: &CameraModel) -> f64 {
-        camera.intrinsics().fy * self.marker.length_m / self.follower.separation_px
+    pub fn place_m(&self, mount: &CameraMount) -> f64 {
+        mount.camera.intrinsics().fy * mount.markers.length_m / self.follower.separation_px
     }
 }
 
@@ -68,8 +65,7 @@ pub struct GuardedCommand {
 #[derive(Clone, Debug)]
 pub struct GuardedFollower {
     settings: GuardedFollowerSettings,
-    camera: CameraModel,
-    body_from_camera: Transform<Body, Camera>,
+    mount: CameraMount,
     follower: Follower,
     tracks: Tracks,
     limits: Limits,
@@ -91,16 +87,10 @@ const BRIGHTNESS_GAIN: f64 = 0.1;
 const LEVEL_SHARE_MIN: f64 = 0.1;
 
 impl GuardedFollower {
-    /// - `body_from_camera`: how the camera is mounted; the body is taken to be level.
-    pub fn new(
-        settings: GuardedFollowerSettings,
-        camera: CameraModel,
-        body_from_camera: Transform<Body, Camera>,
-    ) -> Self {
+    pub fn new(settings: GuardedFollowerSettings, mount: CameraMount) -> Self {
         Self {
             settings,
-            camera,
-            body_from_camera,
+            mount,
             follower: Follower::new(settings.follower),
             tracks: Tracks::new(settings.tracks),
             limits: Limits::default(),
@@ -180,7 +170,7 @@ impl GuardedFollower {
         let settings = &self.settings.follower;
         let aside_px = track.u_px - settings.lateral_px;
         (track.separation_px / settings.separation_px).ln().abs()
-            + aside_px.abs() / self.camera.intrinsics().fx
+            + aside_px.abs() / self.mount.camera.intrinsics().fx
     }
 
     /// All vehicles carry the same lights, which are the brighter the nearer they are: who looks
@@ -198,7 +188,7 @@ impl GuardedFollower {
         let shown = tracks
             .iter()
             .filter(|track| track.state == TrackState::Track && !self.is_too_faint(track));
-        for sighting in shown.filter_map(|track| self.sighting(track)) {
+        for sighting in shown.filter_map(|track| self.mount.sighting_of_track(track)) {
             if let Some(place) = sightings.get_mut(count) {
                 *place = sighting;
                 count += 1;
@@ -219,25 +209,6 @@ impl GuardedFollower {
                 let _ = self.limits.push(limit);
             }
         }
-    }
-
-    fn sighting(&self, track: &MarkerTrack) -> Option<Sighting> {
-        let half_px = 0.5 * track.separation_px;
-        let ray = |v_px: f64| self.camera.unproject(&Vector2::new(track.u_px, v_px));
-        let [above, middle, below] = [
-            ray(track.v_px - half_px)?,
-            ray(track.v_px)?,
-            ray(track.v_px + half_px)?,
-        ];
-        let direction = self.body_from_camera.rotation() * middle;
-        let separation = Separation::Resolved {
-            angle_rad: above.angle(&below),
-            sigma_rad: track.sigma_separation_px / self.camera.intrinsics().fy,
-        };
-        Some(Sighting {
-            direction,
-            range: self.settings.marker.range(&direction, separation),
-        })
     }
 
     fn capped(&self, velocity: Vector3<f64>) -> Vector3<f64> {

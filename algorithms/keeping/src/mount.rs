@@ -1,17 +1,18 @@
 //! From tracks in the pictures of a vehicle's cameras to sightings around the vehicle.
 
-use camera::Intrinsics;
-use nalgebra::{UnitQuaternion, Vector3};
+use camera::CameraModel;
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 use crate::bounded::Bounded;
 use crate::markers::{MarkerTrack, MergedPair, TrackState};
 use crate::sighting::{MarkerModel, Separation, Sighting};
 use crate::tracks::TRACK_COUNT_MAX;
+use crate::view::FieldOfView;
 
 /// How a camera looks out of its vehicle, and which lights it sees from there.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CameraMount {
-    pub intrinsics: Intrinsics,
+    pub camera: CameraModel,
     pub heading_from_camera: UnitQuaternion<f64>,
     /// Direction of the lights' baseline in the image, as for the finder of pairs.
     pub baseline_rad: f64,
@@ -19,46 +20,80 @@ pub struct CameraMount {
 }
 
 impl CameraMount {
-    /// What a track says that is believed and was seen in the newest picture.
+    /// What a track says that is believed and was seen in the newest picture; `None` also where the
+    /// camera's model does not hold.
     pub fn sighting_of_track(&self, track: &MarkerTrack) -> Option<Sighting> {
         if track.state != TrackState::Track || track.merged {
             return None;
         }
-        let center_px = [track.u_px, track.v_px];
         let (sin, cos) = self.baseline_rad.sin_cos();
-        let half_px = [cos, sin].map(|part| 0.5 * track.separation_px * part);
-        let [first, second] = [-1.0, 1.0]
-            .map(|side| self.ray([0, 1].map(|axis| center_px[axis] + side * half_px[axis])));
+        let center_px = Vector2::new(track.u_px, track.v_px);
+        let half_px = Vector2::new(cos, sin) * (0.5 * track.separation_px);
+        let first = self.camera.unproject(&(center_px - half_px))?;
+        let second = self.camera.unproject(&(center_px + half_px))?;
         let angle_rad = first.cross(&second).norm().atan2(first.dot(&second));
         let sigma_share = track.sigma_separation_px / track.separation_px;
-        Some(self.sighting(
-            center_px,
+        self.sighting(
+            &center_px,
             Separation::Resolved {
                 angle_rad,
                 sigma_rad: angle_rad * sigma_share,
             },
-        ))
+        )
     }
 
     /// What lights say that look like one.
-    pub fn sighting_of_merged(&self, merged: &MergedPair) -> Sighting {
-        let Intrinsics { fx, fy, .. } = self.intrinsics;
+    pub fn sighting_of_merged(&self, merged: &MergedPair) -> Option<Sighting> {
+        let intrinsics = self.camera.intrinsics();
         // Angles per pixel are largest on the optical axis.
-        let angle_rad_max = merged.separation_px_max / fx.min(fy);
-        self.sighting(merged.center_px, Separation::Merged { angle_rad_max })
+        let angle_rad_max = merged.separation_px_max / intrinsics.fx.min(intrinsics.fy);
+        self.sighting(
+            &Vector2::from(merged.center_px),
+            Separation::Merged { angle_rad_max },
+        )
     }
 
-    fn sighting(&self, center_px: [f64; 2], separation: Separation) -> Sighting {
-        let direction = self.heading_from_camera * self.ray(center_px).normalize();
-        Sighting {
+    fn sighting(&self, center_px: &Vector2<f64>, separation: Separation) -> Option<Sighting> {
+        let direction = self.heading_from_camera * self.camera.unproject(center_px)?;
+        Some(Sighting {
             direction,
             range: self.markers.range(&direction, separation),
-        }
+        })
     }
 
-    fn ray(&self, [u_px, v_px]: [f64; 2]) -> Vector3<f64> {
-        let Intrinsics { fx, fy, cx, cy } = self.intrinsics;
-        Vector3::new((u_px - cx) / fx, (v_px - cy) / fy, 1.0)
+    /// What it covers at least: as far to either side, up and down as the nearer border.
+    ///
+    /// `None` where the camera's model does not hold in the middle of a border.
+    pub fn view(&self) -> Option<FieldOfView> {
+        let (right_px, bottom_px) = (
+            self.camera.width() as f64 - 1.0,
+            self.camera.height() as f64 - 1.0,
+        );
+        let ray = |u_px: f64, v_px: f64| -> Option<Vector3<f64>> {
+            let ray = self.camera.unproject(&Vector2::new(u_px, v_px))?;
+            Some(self.heading_from_camera * ray)
+        };
+        let ahead = self.heading_from_camera * Vector3::z();
+        let azimuth_rad = ahead.y.atan2(ahead.x);
+        let intrinsics = self.camera.intrinsics();
+        let aside = [ray(0.0, intrinsics.cy)?, ray(right_px, intrinsics.cy)?];
+        let half_width_rad = aside
+            .map(|ray| {
+                let turn_rad = ray.y.atan2(ray.x) - azimuth_rad;
+                turn_rad.sin().atan2(turn_rad.cos()).abs()
+            })
+            .into_iter()
+            .fold(f64::INFINITY, f64::min);
+        let upright = [ray(intrinsics.cx, 0.0)?, ray(intrinsics.cx, bottom_px)?];
+        let elevation_rad_max = upright
+            .map(|ray| ray.z.atan2(ray.x.hypot(ray.y)).abs())
+            .into_iter()
+            .fold(f64::INFINITY, f64::min);
+        Some(FieldOfView {
+            azimuth_rad,
+            half_width_rad,
+            elevation_rad_max,
+        })
     }
 }
 
@@ -86,19 +121,22 @@ pub fn join(sightings: &mut Sightings, sighting: Sighting) {
 
 #[cfg(test)]
 mod tests {
+    use camera::{Distortion, Intrinsics};
+
     use super::*;
     use crate::markers::TrackId;
     use crate::sighting::{Baseline, Range};
 
     fn left_camera() -> CameraMount {
         let axes = nalgebra::Matrix3::from_columns(&[Vector3::x(), -Vector3::z(), Vector3::y()]);
+        let intrinsics = Intrinsics {
+            fx: 130.0,
+            fy: 130.0,
+            cx: 161.5,
+            cy: 121.5,
+        };
         CameraMount {
-            intrinsics: Intrinsics {
-                fx: 130.0,
-                fy: 130.0,
-                cx: 161.5,
-                cy: 121.5,
-            },
+            camera: CameraModel::new(324, 244, intrinsics, Distortion::None).unwrap(),
             heading_from_camera: UnitQuaternion::from_matrix(&axes),
             baseline_rad: std::f64::consts::FRAC_PI_2,
             markers: MarkerModel {
@@ -119,6 +157,7 @@ mod tests {
             separation_px,
             sigma_separation_px: 0.02,
             rate_per_s: 0.0,
+            log_peak_bounds: [5.0; 2],
             merged: false,
         }
     }
@@ -160,8 +199,18 @@ mod tests {
             separation_px_max: 4.0,
             separation_px: 2.0,
         });
+        let merged = merged.unwrap();
         assert_eq!(merged.range.expected_m, None);
         assert!((merged.range.low_m - 0.15 * 0.1_f64.cos() * 130.0 / 4.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_view_ends_at_the_nearer_border() {
+        let view = left_camera().view().unwrap();
+        let half_rad = |half_px: f64| (half_px / 130.0_f64).atan();
+        assert!((view.azimuth_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
+        assert!((view.half_width_rad - half_rad(161.5)).abs() < 1e-9);
+        assert!((view.elevation_rad_max - half_rad(121.5)).abs() < 1e-9);
     }
 
     #[test]

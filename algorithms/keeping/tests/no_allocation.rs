@@ -6,15 +6,15 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use camera::{CameraModel, Distortion, Image, Intrinsics};
-use geometry::{Timestamp, Transform};
+use geometry::Timestamp;
 use keeping::markers::{
     CameraMarkers, FinderSettings, PaperPipeline, PaperPipelineSettings, TrackerSettings,
 };
 use keeping::{
-    FieldOfView, GuardedFollower, GuardedFollowerSettings, Keeper, KeeperSettings, MarkerModel,
-    Obstacle, PaperRule, PaperRuleSettings, Perception, Placed, Range, Sighting,
+    CameraMount, FieldOfView, GuardedFollower, GuardedFollowerSettings, Keeper, KeeperSettings,
+    MarkerModel, Obstacle, PaperRule, PaperRuleSettings, Perception, Placed, Range, Sighting,
 };
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim::marker_light::MarkerScene;
@@ -117,8 +117,14 @@ fn no_image_costs_an_allocation() {
         cy: 155.72,
     };
     let model = CameraModel::new(324, 244, intrinsics, Distortion::None).unwrap();
-    let settings = GuardedFollowerSettings::calibrated(&model, MarkerModel::default());
-    let mut follower = GuardedFollower::new(settings, model, Transform::identity());
+    let mount = CameraMount {
+        camera: model,
+        heading_from_camera: UnitQuaternion::identity(),
+        baseline_rad: std::f64::consts::FRAC_PI_2,
+        markers: MarkerModel::default(),
+    };
+    let settings = GuardedFollowerSettings::calibrated(&mount);
+    let mut follower = GuardedFollower::new(settings, mount);
     let before = ALLOCATION_COUNT.get();
     let mut pair_count = 0;
     for (idx, image) in images.iter().cycle().take(3 * images.len()).enumerate() {

@@ -105,6 +105,9 @@ fn refuses_numbers_out_of_range_naming_key_value_and_file() {
     keeping("lateral_px = -1.0", "lateral_px is -1");
     keeping("distance_m_min = inf", "distance_m_min is inf");
     keeping("speed_mps_max = 0.0", "speed_mps_max is 0");
+    keeping("preferred_m = 0.1", "preferred_m is 0.1");
+    keeping("speed_mps = -1.0", "speed_mps is -1");
+    keeping("rule = 'flock'", "unknown variant `flock`");
     keeping("colour = 1", "unknown field");
 }
 

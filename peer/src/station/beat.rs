@@ -108,7 +108,7 @@ fn keep<O: Outlet>(
                 let moment = keeper.see(captured_at, &image, &obstacles);
                 if let Some(moment) = &moment {
                     newest = Some((captured_at, Instant::now()));
-                    outlet.fly(captured_at, &moment.command.velocity);
+                    outlet.fly(captured_at, &moment.velocity);
                 }
                 window.answer(number);
                 if let Some(moment) = &moment {

@@ -24,12 +24,18 @@ fn calibration() -> Calibration {
 }
 
 fn settings() -> StationSettings {
+    behind(10.0)
+}
+
+fn behind(separation_px: f64) -> StationSettings {
     StationSettings {
         light_distance_m: LIGHTS_M,
-        separation_px: 10.0,
-        lateral_px: None,
         distance_m_min: 0.8,
-        speed_mps_max: 0.5,
+        rule: StationRule::Follow {
+            separation_px,
+            lateral_px: None,
+            speed_mps_max: 0.5,
+        },
     }
 }
 
@@ -69,8 +75,8 @@ fn the_loop_closes_over_rendered_lights() {
     for idx in 0..300 {
         let image = picture(ahead_m, left_m, idx as u64);
         let moment = keeper.see(stamp(idx), &image, &[]).unwrap();
-        seen_count += usize::from(moment.command.seen.is_some());
-        velocity += (moment.command.velocity - velocity) * (1.0 - (-0.1 / 0.3_f64).exp());
+        seen_count += usize::from(moment.followed.is_some());
+        velocity += (moment.velocity - velocity) * (1.0 - (-0.1 / 0.3_f64).exp());
         ahead_m -= 0.1 * velocity.x;
         left_m -= 0.1 * velocity.y;
         assert!(ahead_m.hypot(left_m) > 1.5, "{ahead_m} {left_m}");
@@ -80,6 +86,36 @@ fn the_loop_closes_over_rendered_lights() {
         "{ahead_m} {left_m}"
     );
     assert!(seen_count > 290, "{seen_count}");
+}
+
+/// Goal: among others the rule's distance is taken where the camera looks, and nobody backs up
+/// where it does not. Method: the same flight with the rule of the first shell, whose place ahead
+/// is 1.3 times as far.
+#[test]
+fn the_rule_of_the_first_shell_closes_the_loop_too() {
+    let settings = StationSettings {
+        rule: StationRule::Gabriel {
+            preferred_m: 2.0,
+            speed_mps: 0.0,
+        },
+        ..settings()
+    };
+    let end_m = |start_m: f64| {
+        let mut keeper = StationKeeper::new(&settings, &calibration()).unwrap();
+        let mut ahead_m = start_m;
+        let mut velocity = Vector3::zeros();
+        for idx in 0..400 {
+            let image = picture(ahead_m, 0.0, idx as u64);
+            let moment = keeper.see(stamp(idx), &image, &[]).unwrap();
+            velocity += (moment.velocity - velocity) * (1.0 - (-0.1 / 0.3_f64).exp());
+            ahead_m -= 0.1 * velocity.x;
+        }
+        ahead_m
+    };
+    // Ten per cent of the distance neither push nor pull.
+    let from_afar_m = end_m(3.6);
+    assert!((from_afar_m / 2.6).ln().abs() < 0.13, "{from_afar_m}");
+    assert_eq!(end_m(1.9), 1.9);
 }
 
 #[test]
@@ -105,11 +141,7 @@ fn an_image_from_the_past_changes_nothing() {
 
 #[test]
 fn a_place_within_the_smallest_distance_is_refused() {
-    let settings = StationSettings {
-        separation_px: 40.0,
-        ..settings()
-    };
-    let error = StationKeeper::new(&settings, &calibration()).unwrap_err();
+    let error = StationKeeper::new(&behind(40.0), &calibration()).unwrap_err();
     assert!(
         error.to_string().starts_with("the place is 0.45 m"),
         "{error}"
@@ -237,7 +269,7 @@ fn nothing_of_the_network_is_within_reach() {
             "thiserror",
             "super",
         ];
-        let own = ["keeper", "beat"];
+        let own = ["keeper", "beat", "mount"];
         let stranger = roots.find(|root| !known.contains(root) && !own.contains(root));
         assert_eq!(stranger, None, "{}", path.display());
     }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use camera::Intrinsics;
+use camera::{CameraModel, Distortion, Intrinsics};
 use geometry::Timestamp;
 use keeping::markers::{CameraMarkers, EgoMotion, FinderSettings, MarkerVision, TrackerSettings};
 use keeping::mount::{self, CameraMount, Sightings};
@@ -60,7 +60,7 @@ impl Eyes {
     ) -> Self {
         let mounts = mounts(&view, markers);
         let cameras = mounts.iter().map(|mount| SwarmCamera {
-            intrinsics: mount.intrinsics,
+            intrinsics: *mount.camera.intrinsics(),
             size_px: SIZE_PX,
             heading_from_camera: mount.heading_from_camera,
         });
@@ -117,7 +117,7 @@ impl Eyes {
                 .iter()
                 .filter_map(|track| mount.sighting_of_track(track));
             let merged = frame.merged.iter();
-            let merged = merged.map(|merged| mount.sighting_of_merged(merged));
+            let merged = merged.filter_map(|merged| mount.sighting_of_merged(merged));
             for sighting in apart.chain(merged) {
                 if self.view.contains(&sighting.direction) {
                     mount::join(&mut self.sightings, sighting);
@@ -139,7 +139,7 @@ fn turned(mount: &CameraMount, turn_rad: f64) -> EgoMotion {
     let heading_from_camera = mount.heading_from_camera;
     EgoMotion {
         now_from_before: heading_from_camera.inverse() * now_from_before * heading_from_camera,
-        intrinsics: mount.intrinsics,
+        intrinsics: *mount.camera.intrinsics(),
     }
 }
 
@@ -171,13 +171,15 @@ fn mount(outlook: Outlook, axes: [Vector3<f64>; 3], markers: &MarkerModel) -> Ca
         Outlook::Up | Outlook::Down => (POLAR_FOCAL_PX, Baseline::Horizontal, FRAC_PI_2),
     };
     let [cx, cy] = SIZE_PX.map(|side| 0.5 * (side as f64 - 1.0));
+    let intrinsics = Intrinsics {
+        fx: focal_px,
+        fy: focal_px,
+        cx,
+        cy,
+    };
     CameraMount {
-        intrinsics: Intrinsics {
-            fx: focal_px,
-            fy: focal_px,
-            cx,
-            cy,
-        },
+        camera: CameraModel::new(SIZE_PX[0], SIZE_PX[1], intrinsics, Distortion::None)
+            .expect("the constants are a camera"),
         heading_from_camera: UnitQuaternion::from_matrix(&Matrix3::from_columns(&axes)),
         baseline_rad,
         markers: MarkerModel {
@@ -200,7 +202,7 @@ mod tests {
             mounts.iter().any(|mount| {
                 let in_camera = mount.heading_from_camera.inverse() * direction;
                 let half = [0, 1].map(|axis| 0.5 * SIZE_PX[axis] as f64 - 4.0);
-                let focal_px = mount.intrinsics.fx;
+                let focal_px = mount.camera.intrinsics().fx;
                 // Each kind of lights shines 45° to either side.
                 let is_around = direction.z.abs() <= direction.x.hypot(direction.y);
                 let is_for_around = mount.markers.baseline == Baseline::Vertical;

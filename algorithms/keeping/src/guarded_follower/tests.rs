@@ -1,33 +1,41 @@
 //! Flights behind another vehicle, on the pixels of an ideal camera.
 
-use camera::{Distortion, Intrinsics};
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
+use camera::{CameraModel, Distortion, Intrinsics};
+use nalgebra::{Matrix3, UnitQuaternion};
 
 use super::*;
+use crate::sighting::MarkerModel;
 
 const STEP_S: f64 = 0.1;
 const LIGHTS_M: f64 = 0.1;
 
-fn camera() -> CameraModel {
+fn mount() -> CameraMount {
     let intrinsics = Intrinsics {
         fx: 180.9,
         fy: 180.94,
         cx: 159.23,
         cy: 122.0,
     };
-    CameraModel::new(324, 244, intrinsics, Distortion::None).unwrap()
-}
-
-fn looking_ahead() -> Transform<Body, Camera> {
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    Transform::new(rotation, Vector3::zeros())
+    CameraMount {
+        camera: CameraModel::new(324, 244, intrinsics, Distortion::None).unwrap(),
+        heading_from_camera: UnitQuaternion::from_matrix(&axes),
+        baseline_rad: std::f64::consts::FRAC_PI_2,
+        markers: MarkerModel {
+            length_m: LIGHTS_M,
+            ..MarkerModel::default()
+        },
+    }
 }
 
 /// The track of a vehicle at this place in the heading frame; `None` outside the picture.
 fn track_at(place: &Vector3<f64>, id: u32) -> Option<MarkerTrack> {
-    let camera = camera();
-    let from_body = looking_ahead().inverse();
+    let CameraMount {
+        camera,
+        heading_from_camera,
+        ..
+    } = mount();
+    let from_body = heading_from_camera.inverse();
     let half = Vector3::z() * (0.5 * LIGHTS_M);
     let pixel = camera.project(&(from_body * *place))?;
     let [above, below] =
@@ -47,11 +55,7 @@ fn track_at(place: &Vector3<f64>, id: u32) -> Option<MarkerTrack> {
 }
 
 fn settings() -> GuardedFollowerSettings {
-    let marker = MarkerModel {
-        length_m: LIGHTS_M,
-        ..MarkerModel::default()
-    };
-    GuardedFollowerSettings::calibrated(&camera(), marker)
+    GuardedFollowerSettings::calibrated(&mount())
 }
 
 /// Where the other is from the follower, image by image, with one image of latency and 0.3 s of
@@ -62,7 +66,7 @@ fn places(
     leader_velocity: impl Fn(f64) -> Vector3<f64>,
     duration_s: f64,
 ) -> Vec<Vector3<f64>> {
-    let mut follower = GuardedFollower::new(settings, camera(), looking_ahead());
+    let mut follower = GuardedFollower::new(settings, mount());
     let (mut place, mut velocity, mut command) = (start, Vector3::zeros(), Vector3::zeros());
     let mut places = Vec::new();
     for idx in 0..(duration_s / STEP_S) as usize {
@@ -82,7 +86,7 @@ fn places(
 #[test]
 fn a_place_behind_a_leader_that_flies_to_and_fro_is_held() {
     let settings = settings();
-    let place_m = settings.place_m(&camera());
+    let place_m = settings.place_m(&mount());
     assert!((place_m - 1.8094).abs() < 1e-3, "{place_m}");
     let leader = |time_s: f64| {
         let to_and_fro_mps = 0.4 * (std::f64::consts::TAU * time_s / 20.0).sin();
@@ -128,7 +132,7 @@ fn a_place_that_is_too_near_is_not_taken() {
 fn who_comes_near_is_backed_away_from_slowly() {
     let settings = settings();
     let near = track_at(&Vector3::new(0.6, 0.0, 0.0), 1);
-    let mut follower = GuardedFollower::new(settings, camera(), looking_ahead());
+    let mut follower = GuardedFollower::new(settings, mount());
     for _ in 0..5 {
         let velocity = follower.step(near.as_slice(), &[], STEP_S).velocity;
         assert!((velocity.x + settings.backward_mps_max).abs() < 1e-12);
@@ -137,7 +141,7 @@ fn who_comes_near_is_backed_away_from_slowly() {
 
 #[test]
 fn a_third_vehicle_on_the_way_is_kept_clear_of_and_not_followed() {
-    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let mut follower = GuardedFollower::new(settings(), mount());
     let leader = track_at(&Vector3::new(3.0, 0.0, 0.0), 1).unwrap();
     let free = follower.step(&[leader], &[], STEP_S).velocity;
     assert!(free.x > 0.3, "{free:?}");
@@ -151,7 +155,7 @@ fn a_third_vehicle_on_the_way_is_kept_clear_of_and_not_followed() {
 
 #[test]
 fn lost_lights_let_the_command_decay() {
-    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let mut follower = GuardedFollower::new(settings(), mount());
     let far = track_at(&Vector3::new(3.0, 0.8, 0.0), 1);
     assert!(follower.step(far.as_slice(), &[], STEP_S).velocity.norm() > 0.3);
     for _ in 0..20 {
@@ -164,7 +168,7 @@ fn lost_lights_let_the_command_decay() {
 
 #[test]
 fn a_track_of_a_few_images_ago_is_held_and_not_measured_again() {
-    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let mut follower = GuardedFollower::new(settings(), mount());
     let mut track = track_at(&Vector3::new(2.5, 0.0, 0.0), 1).unwrap();
     let first = follower.step(&[track], &[], STEP_S);
     track.state = TrackState::Coast;
@@ -177,7 +181,7 @@ fn a_track_of_a_few_images_ago_is_held_and_not_measured_again() {
 
 #[test]
 fn an_obstacle_beside_the_place_stops_the_vehicle() {
-    let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+    let mut follower = GuardedFollower::new(settings(), mount());
     let aside = track_at(&Vector3::new(1.8, 1.2, 0.0), 1);
     let free = follower.step(aside.as_slice(), &[], STEP_S).velocity;
     assert!(free.y > 0.3, "{free:?}");
@@ -200,7 +204,7 @@ fn faint_patterns_are_no_neighbours_and_clipped_lights_are() {
     let leader = track_at(&Vector3::new(3.0, 0.0, 0.0), 1).unwrap();
     let near = track_at(&Vector3::new(0.9, 0.1, 0.0), 2).unwrap();
     let forward_mps = |log_peak_bounds: [f64; 2]| {
-        let mut follower = GuardedFollower::new(settings(), camera(), looking_ahead());
+        let mut follower = GuardedFollower::new(settings(), mount());
         let third = MarkerTrack {
             log_peak_bounds,
             ..near
