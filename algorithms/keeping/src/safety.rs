@@ -19,8 +19,11 @@ pub struct Obstacle {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SafetySettings {
-    /// Centres of vehicles stay this far apart.
+    /// Centres of vehicles stay this far apart, counted with the lower bound of the range.
     pub distance_m_min: f64,
+    /// And by this farther, counted with the range itself: room for gusts that push vehicles
+    /// together before the cameras show it. Zero is enough in still air.
+    pub gust_m: f64,
     /// Centres of vehicles stay this far from obstacles.
     pub clearance_m_min: f64,
     /// What is left to the limit may be used up at this rate. Larger brakes later and harder.
@@ -29,7 +32,8 @@ pub struct SafetySettings {
     pub unaware_mps: f64,
     /// A neighbour counts as slower than the swarm only by more than this: noise of the rate.
     pub slower_mps_min: f64,
-    /// The command never exceeds the nominal speed by more than this.
+    /// The command never exceeds the nominal speed by more than this. Smaller cannot get out of
+    /// the way of who is blown along.
     pub excess_mps_max: f64,
 }
 
@@ -37,11 +41,12 @@ impl Default for SafetySettings {
     fn default() -> Self {
         Self {
             distance_m_min: 0.8,
+            gust_m: 0.4,
             clearance_m_min: 0.4,
             approach_hz: 1.0,
             unaware_mps: 0.1,
             slower_mps_min: 0.2,
-            excess_mps_max: 0.5,
+            excess_mps_max: 1.0,
         }
     }
 }
@@ -109,13 +114,18 @@ impl SafetySettings {
             .range
             .low_m
             .min(track.range_m.unwrap_or(f64::INFINITY));
-        let left_m = (low_m - track.age_s * self.unaware_mps - self.distance_m_min).max(0.0);
+        let keep_m = self.distance_m_min + self.gust_m;
+        // The smoothed range lags behind a gust, the newest one is noisy: the nearer counts.
+        let known_m = [track.range_m, track.range.expected_m]
+            .into_iter()
+            .flatten();
+        let near_m = known_m.fold(f64::INFINITY, f64::min);
+        let beyond_m = (low_m - self.distance_m_min).min(near_m - keep_m);
+        let left_m = (beyond_m - track.age_s * self.unaware_mps).max(0.0);
         if left_m * self.approach_hz * MUTUAL_SHARE > 2.0 * self.excess_mps_max + 1.0 {
             return None;
         }
-        let missing_m = track
-            .range_m
-            .map_or(0.0, |range_m| (range_m - self.distance_m_min).min(0.0));
+        let missing_m = (near_m - keep_m).min(0.0);
         let is_ahead = direction.x > 0.0 && direction.y.abs() < AHEAD_TAN * direction.x;
         let (share, margin_mps) = if is_ahead {
             (1.0, self.unaware_mps)
@@ -261,9 +271,10 @@ mod tests {
             let limit = settings.neighbour_limit(Vector3::y(), &neighbour_at(range_m), &flight);
             limit.unwrap().speed_mps_max
         };
-        assert!(limit_at(1.8) > 0.4);
-        assert!(limit_at(0.8).abs() < 1e-12);
-        assert!(limit_at(0.5) < 0.0);
+        let keep_m = settings.distance_m_min + settings.gust_m;
+        assert!(limit_at(keep_m + 1.0) > 0.4);
+        assert!(limit_at(keep_m).abs() < 1e-12);
+        assert!(limit_at(keep_m - 0.3) < 0.0);
     }
 
     #[test]

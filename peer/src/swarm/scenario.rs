@@ -167,7 +167,7 @@ macro_rules! numbers {
     };
 }
 
-const NUMBERS: [Setting; 30] = numbers! {
+const NUMBERS: [Setting; 31] = numbers! {
     "duration_s", "10 to 3600 s", 10.0..=3600.0, |s, v| s.duration_s = v;
     "latency_s", "0 to 5 s", 0.0..=5.0, |s, v| s.swarm.sensing.latency_s = v;
     "lag_s", "0 to 5 s", 0.0..=5.0, |s, v| s.swarm.lag_s = v;
@@ -217,6 +217,7 @@ const NUMBERS: [Setting; 30] = numbers! {
         s.swarm.start_distance_m = v;
     };
     "distance_m_min", "0 to 10 m", 0.0..=10.0, |s, v| s.keeper.safety.distance_m_min = v;
+    "gust_m", "0 to 10 m", 0.0..=10.0, |s, v| s.keeper.safety.gust_m = v;
     "clearance_m_min", "0 to 10 m", 0.0..=10.0, |s, v| s.keeper.safety.clearance_m_min = v;
     "slower_mps_min", "0 to 10 m/s", 0.0..=10.0, |s, v| s.keeper.safety.slower_mps_min = v;
     "approach_hz", "0.1 to 10 per second", 0.1..=10.0, |s, v| s.keeper.safety.approach_hz = v;
