@@ -8,7 +8,7 @@ use keeping::markers::{CameraMarkers, FinderSettings, FramePairs, MarkerTrack, T
 use keeping::mount::{self, Sightings};
 use keeping::{
     CameraMount, FieldOfView, GuardedFollower, GuardedFollowerSettings, Keeper, KeeperSettings,
-    LightPair, MarkerModel, Obstacle, Perception,
+    LightPair, MarkerModel, Obstacle, Perception, SafetySettings,
 };
 use nalgebra::Vector3;
 
@@ -99,6 +99,9 @@ struct SwarmPilot {
 /// A camera that is silent for longer shows nobody who is near: what was commanded decays.
 const HOLD_S: f64 = 0.3;
 const DECAY_S: f64 = 0.2;
+/// Room for gusts, of the way from the smallest distance to the place: a place near the smallest
+/// distance leaves less than the filter would take.
+const ROOM_FOR_GUSTS_SHARE: f64 = 0.5;
 /// Time constant with which a small vehicle takes up a velocity.
 const LAG_S: f64 = 0.3;
 
@@ -116,39 +119,29 @@ impl StationKeeper {
                 ..MarkerModel::default()
             },
         };
-        let (pilot, place_m) = match settings.rule {
+        let pilot = match settings.rule {
             StationRule::Follow {
                 separation_px,
                 lateral_px,
                 speed_mps_max,
             } => {
                 let mut guarded = GuardedFollowerSettings::calibrated(&mount);
-                guarded.safety.distance_m_min = settings.distance_m_min;
                 let follower = &mut guarded.follower;
                 follower.separation_px = separation_px;
                 follower.lateral_px = lateral_px.unwrap_or(follower.lateral_px);
                 follower.speed_mps_max = speed_mps_max;
-                let follower = GuardedFollower::new(guarded, mount.clone());
-                (Pilot::Follower(Box::new(follower)), guarded.place_m(&mount))
+                guarded.safety = safety(settings.distance_m_min, guarded.place_m(&mount))?;
+                Pilot::Follower(Box::new(GuardedFollower::new(guarded, mount.clone())))
             }
             StationRule::Gabriel {
                 preferred_m,
                 speed_mps,
             } => {
-                let pilot =
-                    SwarmPilot::new(settings.distance_m_min, preferred_m, speed_mps, &mount);
-                (
-                    Pilot::Swarm(Box::new(pilot.ok_or(StationError::View)?)),
-                    preferred_m,
-                )
+                let safety = safety(settings.distance_m_min, preferred_m)?;
+                let pilot = SwarmPilot::new(safety, preferred_m, speed_mps, &mount);
+                Pilot::Swarm(Box::new(pilot.ok_or(StationError::View)?))
             }
         };
-        if place_m <= settings.distance_m_min {
-            return Err(StationError::TooNear {
-                place_m,
-                distance_m_min: settings.distance_m_min,
-            });
-        }
         let width_px = mount.camera.width();
         Ok(Self {
             markers: CameraMarkers::new(
@@ -216,16 +209,35 @@ impl StationKeeper {
     }
 }
 
+/// The filter for a place at this distance from the next vehicle.
+fn safety(distance_m_min: f64, place_m: f64) -> Result<SafetySettings, StationError> {
+    if place_m <= distance_m_min {
+        return Err(StationError::TooNear {
+            place_m,
+            distance_m_min,
+        });
+    }
+    let safety = SafetySettings::default();
+    let room_m = ROOM_FOR_GUSTS_SHARE * (place_m - distance_m_min);
+    Ok(SafetySettings {
+        distance_m_min,
+        gust_m: safety.gust_m.min(room_m),
+        ..safety
+    })
+}
+
 impl SwarmPilot {
     /// `None` if the camera's view cannot be told.
     fn new(
-        distance_m_min: f64,
+        safety: SafetySettings,
         preferred_m: f64,
         speed_mps: f64,
         mount: &CameraMount,
     ) -> Option<Self> {
-        let mut keeper = KeeperSettings::default();
-        keeper.safety.distance_m_min = distance_m_min;
+        let mut keeper = KeeperSettings {
+            safety,
+            ..KeeperSettings::default()
+        };
         let forward_share = keeper.rule.preferred_forward_m / keeper.rule.preferred_m;
         keeper.rule.preferred_m = preferred_m;
         keeper.rule.preferred_forward_m = forward_share * preferred_m;

@@ -122,7 +122,7 @@ fn a_place_that_is_too_near_is_not_taken() {
         .iter()
         .map(Vector3::norm)
         .fold(f64::INFINITY, f64::min);
-    let distance_m_min = settings.safety.distance_m_min;
+    let distance_m_min = settings.safety.distance_m_min + settings.safety.gust_m;
     assert!(nearest_m > 0.97 * distance_m_min, "{nearest_m}");
     let last_m = places.last().unwrap().norm();
     assert!(last_m < distance_m_min + 0.3, "{last_m}");
