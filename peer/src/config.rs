@@ -86,16 +86,17 @@ pub struct KeepingConfig {
     pub rule: KeepingRule,
     /// Between the lights. 0.02 to 2.
     pub light_distance_m: f64,
-    /// `follow`: how far apart the lights shall be in the picture: focal length times their distance over
-    /// this is how far behind the place is. 3 to 50: less is far away and noisy.
+    /// `follow`: how far apart the lights shall be in the picture. Focal length times their
+    /// distance over this is how far behind the place is. 3 to 50: less is far away and noisy.
     pub separation_px: f64,
-    /// `follow`: where between left and right of the picture they shall be; on the optical axis if not set.
+    /// `follow`: where between left and right of the picture they shall be; on the optical axis if
+    /// not set.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lateral_px: Option<f64>,
     /// Centres of vehicles stay this far apart, whatever is commanded. 0.2 to 20.
     pub distance_m_min: f64,
-    /// `follow`: of what is commanded, in each direction. 0.05 to 10: faster follows a faster vehicle, and
-    /// errs farther when the lights are lost.
+    /// `follow`: of what is commanded, in each direction. 0.05 to 10: faster follows a faster
+    /// vehicle, and errs farther when the lights are lost.
     pub speed_mps_max: f64,
     /// `gabriel`: between neighbours. 0.5 to 50.
     pub preferred_m: f64,
