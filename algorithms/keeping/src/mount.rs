@@ -4,7 +4,7 @@ use camera::CameraModel;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 use crate::bounded::Bounded;
-use crate::markers::{MarkerTrack, MergedPair, TrackState};
+use crate::markers::{FramePairs, MarkerTrack, MergedPair, TrackState};
 use crate::sighting::{MarkerModel, Separation, Sighting};
 use crate::tracks::TRACK_COUNT_MAX;
 use crate::view::FieldOfView;
@@ -54,48 +54,80 @@ impl CameraMount {
     }
 
     fn sighting(&self, center_px: &Vector2<f64>, separation: Separation) -> Option<Sighting> {
-        let direction = self.heading_from_camera * self.camera.unproject(center_px)?;
+        let direction = self.ray(center_px.x, center_px.y)?;
         Some(Sighting {
             direction,
             range: self.markers.range(&direction, separation),
         })
     }
 
-    /// What it covers at least: as far to either side, up and down as the nearer border.
-    ///
-    /// `None` where the camera's model does not hold in the middle of a border.
-    pub fn view(&self) -> Option<FieldOfView> {
-        let (right_px, bottom_px) = (
-            self.camera.width() as f64 - 1.0,
-            self.camera.height() as f64 - 1.0,
-        );
-        let ray = |u_px: f64, v_px: f64| -> Option<Vector3<f64>> {
-            let ray = self.camera.unproject(&Vector2::new(u_px, v_px))?;
-            Some(self.heading_from_camera * ray)
-        };
+    /// What an image shows: lights apart and lights that look like one.
+    pub fn sightings<'a>(
+        &'a self,
+        frame: &FramePairs<'a>,
+        tracks: &'a [MarkerTrack],
+    ) -> impl Iterator<Item = Sighting> + use<'a> {
+        let apart = tracks
+            .iter()
+            .filter_map(|track| self.sighting_of_track(track));
+        let merged = frame.merged.iter();
+        apart.chain(merged.filter_map(|merged| self.sighting_of_merged(merged)))
+    }
+
+    /// The direction in the image in which an upright baseline lies; `None` for a camera that looks
+    /// up or down by more than 60°, to which the lights of others do not look upright.
+    pub fn upright_rad(&self) -> Option<f64> {
+        let up = self.heading_from_camera.inverse() * Vector3::z();
+        (up.x.hypot(up.y) >= UPRIGHT_SHARE_MIN).then(|| up.y.atan2(up.x))
+    }
+
+    /// Where it looks, left of ahead.
+    pub fn azimuth_rad(&self) -> f64 {
         let ahead = self.heading_from_camera * Vector3::z();
-        let azimuth_rad = ahead.y.atan2(ahead.x);
-        let intrinsics = self.camera.intrinsics();
-        let aside = [ray(0.0, intrinsics.cy)?, ray(right_px, intrinsics.cy)?];
-        let half_width_rad = aside
-            .map(|ray| {
-                let turn_rad = ray.y.atan2(ray.x) - azimuth_rad;
-                turn_rad.sin().atan2(turn_rad.cos()).abs()
-            })
-            .into_iter()
-            .fold(f64::INFINITY, f64::min);
-        let upright = [ray(intrinsics.cx, 0.0)?, ray(intrinsics.cx, bottom_px)?];
-        let elevation_rad_max = upright
-            .map(|ray| ray.z.atan2(ray.x.hypot(ray.y)).abs())
-            .into_iter()
-            .fold(f64::INFINITY, f64::min);
-        Some(FieldOfView {
+        ahead.y.atan2(ahead.x)
+    }
+
+    /// The wedge about its azimuth and level that it covers, if its rows are about level.
+    ///
+    /// `None` where it does not cover level, or its model does not hold at its borders.
+    pub fn view(&self) -> Option<FieldOfView> {
+        let azimuth_rad = self.azimuth_rad();
+        let (mut half_width_rad, mut elevation_rad_max) = (f64::INFINITY, f64::INFINITY);
+        let [right_px, bottom_px] =
+            [self.camera.width(), self.camera.height()].map(|side| side as f64 - 1.0);
+        for step in 0..=BORDER_STEPS {
+            let share = f64::from(step) / f64::from(BORDER_STEPS);
+            for u_px in [0.0, right_px] {
+                let aside = self.ray(u_px, share * bottom_px)?;
+                let turn_rad = aside.y.atan2(aside.x) - azimuth_rad;
+                let turn_rad = turn_rad.sin().atan2(turn_rad.cos());
+                // A camera that hangs upside down has left and right the other way around.
+                half_width_rad = half_width_rad.min(turn_rad.abs());
+            }
+            let [first, last] = [0.0, bottom_px].map(|v_px| {
+                let upright = self.ray(share * right_px, v_px)?;
+                Some(upright.z.atan2(upright.x.hypot(upright.y)))
+            });
+            let (high_rad, low_rad) = (first?.max(last?), first?.min(last?));
+            elevation_rad_max = elevation_rad_max.min(high_rad).min(-low_rad);
+        }
+        (elevation_rad_max > 0.0).then_some(FieldOfView {
             azimuth_rad,
             half_width_rad,
             elevation_rad_max,
         })
     }
+
+    /// A pixel's ray in the heading frame.
+    fn ray(&self, u_px: f64, v_px: f64) -> Option<Vector3<f64>> {
+        Some(self.heading_from_camera * self.camera.unproject(&Vector2::new(u_px, v_px))?)
+    }
 }
+
+/// Points of each border that are looked at.
+const BORDER_STEPS: u32 = 16;
+/// Half of a light's baseline is left at 60°.
+const UPRIGHT_SHARE_MIN: f64 = 0.5;
 
 /// The sightings of all cameras in one step, each neighbour once.
 pub type Sightings = Bounded<Sighting, TRACK_COUNT_MAX>;
@@ -204,13 +236,55 @@ mod tests {
         assert!((merged.range.low_m - 0.15 * 0.1_f64.cos() * 130.0 / 4.0).abs() < 1e-9);
     }
 
+    /// Goal: nothing is called covered that the camera does not see. Method: directions all over
+    /// the wedge, of cameras that look down by different angles, projected into the image.
     #[test]
-    fn a_view_ends_at_the_nearer_border() {
-        let view = left_camera().view().unwrap();
-        let half_rad = |half_px: f64| (half_px / 130.0_f64).atan();
-        assert!((view.azimuth_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
-        assert!((view.half_width_rad - half_rad(161.5)).abs() < 1e-9);
-        assert!((view.elevation_rad_max - half_rad(121.5)).abs() < 1e-9);
+    fn all_of_a_view_is_in_the_picture() {
+        for pitch_deg in [0.0, 8.0, -20.0, 35.0] {
+            let pitch_rad: f64 = f64::to_radians(pitch_deg);
+            let mut mount = left_camera();
+            let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -pitch_rad);
+            mount.heading_from_camera *= tilt;
+            let view = mount.view().unwrap();
+            assert!((view.azimuth_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
+            assert!(
+                view.half_width_rad > 0.5 && view.elevation_rad_max > 0.05,
+                "{view:?}"
+            );
+            for aside in [-0.99, -0.5, 0.0, 0.5, 0.99] {
+                for up in [-0.99, 0.0, 0.99] {
+                    let azimuth_rad = view.azimuth_rad + aside * view.half_width_rad;
+                    let elevation_rad: f64 = up * view.elevation_rad_max;
+                    let direction = Vector3::new(
+                        elevation_rad.cos() * azimuth_rad.cos(),
+                        elevation_rad.cos() * azimuth_rad.sin(),
+                        elevation_rad.sin(),
+                    );
+                    let in_camera = mount.heading_from_camera.inverse() * direction;
+                    let pixel = mount.camera.project(&in_camera).unwrap();
+                    assert!(
+                        mount.camera.contains(&pixel, 0.0),
+                        "{pitch_deg}: {direction:?}"
+                    );
+                }
+            }
+        }
+        // Level is above this one's picture.
+        let mut mount = left_camera();
+        mount.heading_from_camera *= UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -0.8);
+        assert_eq!(mount.view(), None);
+    }
+
+    #[test]
+    fn upright_lights_lie_where_the_camera_is_turned_to() {
+        let mut mount = left_camera();
+        let upright_rad = mount.upright_rad().unwrap();
+        assert!((upright_rad.abs() - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
+        mount.heading_from_camera *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.3);
+        let turned_rad = mount.upright_rad().unwrap();
+        assert!(((turned_rad - upright_rad).abs() - 0.3).abs() < 1e-9);
+        mount.heading_from_camera = UnitQuaternion::identity();
+        assert_eq!(mount.upright_rad(), None);
     }
 
     #[test]

@@ -69,7 +69,8 @@ impl Limit {
     }
 }
 
-pub type Limits = Bounded<Limit, { TRACK_COUNT_MAX + OBSTACLE_COUNT_MAX }>;
+/// Room for all tracks, all obstacles, and a box of speeds.
+pub type Limits = Bounded<Limit, { TRACK_COUNT_MAX + OBSTACLE_COUNT_MAX + 4 }>;
 
 /// Between limits that contradict each other so many rounds are made.
 const SWEEP_COUNT: usize = 20;
@@ -175,7 +176,9 @@ pub fn limit(wanted: &Vector3<f64>, limits: &[Limit]) -> Vector3<f64> {
 
 /// Adds one limit after the other. One that is broken bounds the new optimum, which therefore lies
 /// on its plane: the same question with one dimension less and only the limits before it (Seidel,
-/// "Small-dimensional linear programming and convex hulls made easy", 1991).
+/// "Small-dimensional linear programming and convex hulls made easy", 1991). Few limits break it,
+/// so that it mostly costs a pass; were each to break what the ones before leave, its cost would
+/// be their number cubed.
 fn nearest_in_space(wanted: &Vector3<f64>, limits: &[Limit]) -> Option<Vector3<f64>> {
     let mut nearest = *wanted;
     for (idx, limit) in limits.iter().enumerate() {

@@ -125,15 +125,24 @@ fn no_image_costs_an_allocation() {
     };
     let settings = GuardedFollowerSettings::calibrated(&mount);
     let mut follower = GuardedFollower::new(settings, mount);
+    let obstacles = [Obstacle {
+        direction: Vector3::y(),
+        clearance_m: 1.0,
+    }];
+    let mut followed_count = 0;
     let before = ALLOCATION_COUNT.get();
     let mut pair_count = 0;
-    for (idx, image) in images.iter().cycle().take(3 * images.len()).enumerate() {
+    // Each picture stands for a while, so that tracks are believed.
+    let stills = images.iter().flat_map(|image| [image; 5]);
+    for (idx, image) in stills.enumerate() {
         let captured_at = Timestamp::from_nanoseconds(50_000_000 * idx as i64);
         pair_count += camera.see(image, captured_at, None).0.pairs.len();
         pair_count += usize::from(paper.find(image, captured_at).is_some());
-        follower.step(camera.tracks(), &[], 0.05);
+        let command = follower.step(camera.tracks(), &obstacles, 0.05);
+        followed_count += usize::from(command.seen.is_some());
     }
     let after = ALLOCATION_COUNT.get();
     assert!(pair_count > 100, "{pair_count}");
+    assert!(followed_count > 5, "{followed_count}");
     assert_eq!(after, before);
 }

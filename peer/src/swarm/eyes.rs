@@ -113,12 +113,7 @@ impl Eyes {
                 continue;
             };
             let (frame, tracks) = camera.see(&image, captured_at, Some(&turned(mount, turn_rad)));
-            let apart = tracks
-                .iter()
-                .filter_map(|track| mount.sighting_of_track(track));
-            let merged = frame.merged.iter();
-            let merged = merged.filter_map(|merged| mount.sighting_of_merged(merged));
-            for sighting in apart.chain(merged) {
+            for sighting in mount.sightings(&frame, tracks) {
                 if self.view.contains(&sighting.direction) {
                     mount::join(&mut self.sightings, sighting);
                 }

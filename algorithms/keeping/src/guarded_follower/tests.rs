@@ -2,6 +2,7 @@
 
 use camera::{CameraModel, Distortion, Intrinsics};
 use nalgebra::{Matrix3, UnitQuaternion};
+use proptest::prelude::*;
 
 use super::*;
 use crate::sighting::MarkerModel;
@@ -185,16 +186,39 @@ fn an_obstacle_beside_the_place_stops_the_vehicle() {
     let aside = track_at(&Vector3::new(1.8, 1.2, 0.0), 1);
     let free = follower.step(aside.as_slice(), &[], STEP_S).velocity;
     assert!(free.y > 0.3, "{free:?}");
-    let mut wall = Obstacle {
+    let wall = Obstacle {
         direction: Vector3::y(),
         clearance_m: 0.5,
     };
     let slow = follower.step(aside.as_slice(), &[wall], STEP_S).velocity;
     assert!(slow.y <= 0.1 + 1e-9, "{slow:?}");
-    // Nearer than it may be, and still not driven away from what may be an error of the map.
-    wall.clearance_m = 0.1;
-    let stopped = follower.step(aside.as_slice(), &[wall], STEP_S).velocity;
-    assert!(stopped.y.abs() < 1e-9, "{stopped:?}");
+}
+
+/// Goal: what a camera to the left calls ahead is the vehicle's left. Method: the same lights and
+/// the same wall, once seen ahead and once to the left.
+#[test]
+fn a_camera_that_looks_aside_flies_aside() {
+    let command = |azimuth_rad: f64| {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), azimuth_rad);
+        let mount = CameraMount {
+            heading_from_camera: turn * mount().heading_from_camera,
+            ..mount()
+        };
+        let mut follower = GuardedFollower::new(settings(), mount);
+        let wall = Obstacle {
+            direction: turn * Vector3::y(),
+            clearance_m: 0.5,
+        };
+        let lights = track_at(&Vector3::new(2.4, 0.9, 0.0), 1);
+        follower.step(lights.as_slice(), &[wall], STEP_S).velocity
+    };
+    let ahead = command(0.0);
+    assert!(ahead.x > 0.2 && ahead.y > 0.05, "{ahead:?}");
+    let left = command(std::f64::consts::FRAC_PI_2);
+    assert!(
+        (left - Vector3::new(-ahead.y, ahead.x, 0.0)).norm() < 1e-9,
+        "{left:?}"
+    );
 }
 
 /// Goal: a pattern on a wall that looks like a near vehicle stops nobody, and a near vehicle
@@ -217,4 +241,56 @@ fn faint_patterns_are_no_neighbours_and_clipped_lights_are() {
     };
     assert!(forward_mps([4.0; 2]) > 0.3);
     assert!(forward_mps([5.3, f64::INFINITY]) < 0.1);
+}
+
+/// Goal: lamps may dim, and an exposure may change, without anybody being lost or run into.
+#[test]
+fn lights_that_have_dimmed_are_still_followed_and_kept_clear_of() {
+    let bright = track_at(&Vector3::new(2.5, 0.0, 0.0), 1).unwrap();
+    let dimmed = |id: u32, ahead_m: f64| MarkerTrack {
+        log_peak_bounds: bright.log_peak_bounds.map(|log_peak| log_peak - 2.5),
+        ..track_at(&Vector3::new(ahead_m, 0.0, 0.0), id).unwrap()
+    };
+    let mut follower = GuardedFollower::new(settings(), mount());
+    follower.step(&[bright], &[], STEP_S);
+    assert!(follower.step(&[dimmed(1, 2.5)], &[], STEP_S).seen.is_some());
+    // The same after a gap, in which its track was lost.
+    let mut follower = GuardedFollower::new(settings(), mount());
+    follower.step(&[bright], &[], STEP_S);
+    for _ in 0..12 {
+        follower.step(&[], &[], STEP_S);
+    }
+    let command = follower.step(&[dimmed(2, 1.0)], &[], STEP_S);
+    assert!(command.seen.is_some());
+    assert!(command.velocity.x < 0.0, "{command:?}");
+}
+
+proptest! {
+    /// Goal: a cap on one speed never brings the vehicle nearer to anybody than the filter lets it.
+    /// Method: a neighbour anywhere in the picture beside the one that is followed; as far as the
+    /// speeds allow it, the limit that it sets is kept.
+    #[test]
+    fn caps_never_undo_the_filter(
+        range_m in 0.5_f64..2.0,
+        aside_rad in -0.65_f64..0.65,
+        leader_left_m in -1.0_f64..1.0,
+    ) {
+        let settings = settings();
+        let place = Vector3::new(aside_rad.cos(), aside_rad.sin(), 0.0) * range_m;
+        let leader = track_at(&Vector3::new(2.2, leader_left_m, 0.0), 1).unwrap();
+        let third = track_at(&place, 2).unwrap();
+        let mut follower = GuardedFollower::new(settings, mount());
+        follower.step(&[leader], &[], STEP_S);
+        let command = follower.step(&[third, leader], &[], STEP_S);
+        let keep_m = settings.safety.distance_m_min + settings.safety.gust_m;
+        let closing_mps = command.velocity.dot(&place.normalize());
+        // The vehicle may back away from the camera's view this fast in this direction.
+        let retreat_mps = settings.backward_mps_max * aside_rad.cos()
+            + settings.follower.speed_mps_max * aside_rad.sin().abs();
+        let allowed_mps = (range_m - keep_m).max(-retreat_mps);
+        prop_assert!(closing_mps <= allowed_mps.max(0.0) + 0.02, "{closing_mps} {allowed_mps}");
+        if range_m < keep_m - 0.1 {
+            prop_assert!(closing_mps < 0.0, "{closing_mps}");
+        }
+    }
 }
