@@ -129,11 +129,12 @@ fn run_free(
             Some(Arrival::Input(input)) => {
                 let captured_at = input.captured_at();
                 let is_frame = input.is_frame();
+                let is_readable = matches!(input, Input::Frame { .. });
                 if is_frame {
                     newest = (captured_at, Instant::now());
                 }
                 vehicle.take_input(input, captured_at);
-                if let (Some(station), true) = (station, is_frame) {
+                if let (Some(station), true) = (station, is_readable) {
                     station.tell(captured_at, vehicle.obstacles());
                 }
                 // A driver that has gone needs no acknowledgement.

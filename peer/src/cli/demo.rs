@@ -53,12 +53,14 @@ pub fn run(arguments: &DemoArguments) -> anyhow::Result<Exit> {
     for line in report.ending.diagnostics().into_iter().chain(losses) {
         output::diagnose(&line);
     }
-    // The demo is there to show that everybody becomes global.
+    // The demo is there to show that everybody becomes global, and that drones hold together.
     let is_global = |vehicle: &VehicleReport| vehicle.state == "Global";
+    let holds = report.swarm.is_none_or(|swarm| swarm.holds());
+    let is_shown = holds && report.vehicles.iter().all(is_global);
     let exit = match report.ending {
         Ending::Interrupted => Exit::Interrupted,
         Ending::Failed(_) => Exit::Refused,
-        Ending::Flown if !report.vehicles.iter().all(is_global) => Exit::Refused,
+        Ending::Flown if !is_shown => Exit::Refused,
         Ending::Flown if !report.losses.is_empty() => Exit::DoneWithLoss,
         Ending::Flown => Exit::Done,
     };

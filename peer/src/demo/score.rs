@@ -6,6 +6,7 @@ use geometry::Enu;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use sim::ScenarioName;
 
+use crate::config::KeepingConfig;
 use crate::evaluate::{BaselineSettings, SwarmScore, VehicleRecord, VehicleScore, judge};
 use crate::files::{StampedPose, read_cloud, read_covariances, read_tum};
 use crate::plot::Realignment;
@@ -41,11 +42,18 @@ pub fn swarm(
     folder: &Path,
     summaries: &[VehicleSummary],
 ) -> anyhow::Result<SwarmScore> {
-    let lit = scenario.vehicles().into_iter();
-    let truths = lit
-        .filter(|vehicle| vehicle.lights.is_some())
-        .map(|vehicle| read_tum(&folder.join(format!("{}.truth.tum", vehicle.id))))
-        .collect::<Result<Vec<_>, _>>()?;
+    let mut truths = Vec::new();
+    let mut place_m = None;
+    for vehicle in scenario.vehicles() {
+        let Some(lights) = vehicle.lights else {
+            continue;
+        };
+        truths.push(read_tum(&folder.join(format!("{}.truth.tum", vehicle.id)))?);
+        if vehicle.keeps_place {
+            let separation_px = KeepingConfig::default().separation_px;
+            place_m = Some(vehicle.camera.intrinsics().fy * lights.length_m / separation_px);
+        }
+    }
     let followers = || {
         summaries
             .iter()
@@ -54,7 +62,10 @@ pub fn swarm(
     let frame_count: u64 = followers().map(|keeping| keeping.frame_count).sum();
     let seen_count: u64 = followers().map(|keeping| keeping.seen_count).sum();
     let seen_share = (frame_count > 0).then(|| seen_count as f64 / frame_count as f64);
-    Ok(SwarmScore::of(&truths, seen_share))
+    Ok(SwarmScore {
+        place_m,
+        ..SwarmScore::of(&truths, seen_share)
+    })
 }
 
 /// Before and after registration, in the manner of the paper's Fig. 10. Before is the rough start

@@ -18,9 +18,24 @@ pub struct SwarmScore {
     pub collisions: usize,
     /// Images that showed the lights that are followed, of all that a follower took.
     pub marker_seen_share: Option<f64>,
+    /// How far from its leader a follower was told to be.
+    #[serde(skip)]
+    pub place_m: Option<f64>,
 }
 
+/// The mean distance may differ by this share from the commanded one.
+const SPACING_SHARE_MAX: f64 = 0.15;
+
 impl SwarmScore {
+    /// Whether nobody collided, and the commanded distance was kept, if there is one.
+    pub fn holds(&self) -> bool {
+        let is_kept = match self.place_m.zip(self.nn_mean_m) {
+            Some((place_m, nn_mean_m)) => (nn_mean_m / place_m - 1.0).abs() <= SPACING_SHARE_MAX,
+            None => self.place_m.is_none(),
+        };
+        self.collisions == 0 && is_kept
+    }
+
     /// - `truths`: of each vehicle; frames of the same moment have the same stamp.
     pub fn of(truths: &[Vec<StampedPose<Enu>>], marker_seen_share: Option<f64>) -> Self {
         let mut score = Self {
@@ -89,6 +104,24 @@ mod tests {
         let nearest_m = [2.0, 0.4, 2.0, 2.0, 0.4, 2.0, 3.0, 4.6];
         let mean_m = nearest_m.iter().sum::<f64>() / 8.0;
         assert!((score.nn_mean_m.unwrap() - mean_m).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_swarm_holds_near_its_place_without_collision() {
+        let at = |apart_m: f64, place_m: Option<f64>| SwarmScore {
+            place_m,
+            ..SwarmScore::of(&[along_x(&[0.0]), along_x(&[apart_m])], None)
+        };
+        assert!(at(2.0, None).holds() && at(2.0, Some(1.8)).holds());
+        assert!(!at(2.2, Some(1.8)).holds() && !at(1.5, Some(1.8)).holds());
+        assert!(!at(0.4, None).holds());
+        assert!(
+            !SwarmScore {
+                place_m: Some(1.8),
+                ..SwarmScore::default()
+            }
+            .holds()
+        );
     }
 
     #[test]

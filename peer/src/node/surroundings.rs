@@ -19,18 +19,19 @@ const POINT_RANK: usize = 4;
 const VIEW_COUNT_MIN: usize = 3;
 
 impl Node {
-    /// Obstacles from the own map about a pose, in the vehicle's heading frame, the nearest first;
-    /// none while the map has no scale or the vehicle does not know what is level.
+    /// Obstacles from the own map about a pose, in the vehicle's heading frame, the nearest first.
+    /// None until the map has been tied to the Earth for the first time: before, nobody knows its
+    /// scale, or what is level. A tie that has grown old is good enough.
     pub fn obstacles(&self, pose: &FramePose, now: Timestamp) -> Vec<Obstacle> {
         let map = self.slam.map();
-        let known = pose.map_from_camera.filter(|_| pose.map_id == map.id());
-        let (Some(map_from_camera), Some(global)) = (known, &pose.global) else {
+        let map_from_camera = pose.map_from_camera.filter(|_| pose.map_id == map.id());
+        let tie = map_from_camera.zip(self.enu_from_map(now));
+        let Some((map_from_camera, enu_from_map)) = tie else {
             return Vec::new();
         };
-        let Some(enu_from_map) = self.enu_from_map(now) else {
-            return Vec::new();
-        };
-        let ahead = global.enu_from_body.rotation() * Vector3::x();
+        let map_from_body =
+            *map_from_camera.rotation() * self.calibration.body_from_camera.rotation().inverse();
+        let ahead = enu_from_map.linear_matrix() * (map_from_body * Vector3::x());
         let centre = map_from_camera.translation();
         around(trusted(map), centre, &enu_from_map, ahead.y.atan2(ahead.x))
     }

@@ -25,8 +25,11 @@ pub struct KeepingSummary {
     pub seen_count: u64,
     /// Those after which the safety filter changed what a follower wanted.
     pub withheld_count: u64,
-    /// Velocities sent, after images and between them.
+    /// Velocities that the driver took, after images and between them.
     pub velocity_count: u64,
+    /// Images that made the loop fail.
+    #[serde(default)]
+    pub fault_count: u64,
 }
 
 /// Takes the loop's velocities.
@@ -78,8 +81,14 @@ impl Autopilot {
 
 impl Outlet for Autopilot {
     fn fly(&mut self, now: Timestamp, velocity_in_heading: &Vector3<f64>) {
-        (self.sink)(now, velocity_in_heading);
-        self.summary.velocity_count += 1;
+        let is_taken = (self.sink)(now, velocity_in_heading);
+        self.summary.velocity_count += u64::from(is_taken);
+    }
+
+    fn fault(&mut self, captured_at: Timestamp) {
+        self.summary.fault_count += 1;
+        let error = format!("the image of {captured_at} made it fail");
+        self.loss.note("station-keeping", Err(error));
     }
 
     fn note(&mut self, moment: &StationMoment) {

@@ -76,8 +76,8 @@ impl Input {
 }
 
 /// Takes velocities for the autopilot: when they are from, and forward, left and up in the heading
-/// frame.
-pub type VelocitySink = Box<dyn FnMut(Timestamp, &Vector3<f64>) + Send>;
+/// frame. False once nobody takes them.
+pub type VelocitySink = Box<dyn FnMut(Timestamp, &Vector3<f64>) -> bool + Send>;
 
 /// A camera with a position source or without.
 pub trait Source: Send {

@@ -1,5 +1,6 @@
 //! The loop's thread: it wakes for every image, and at a fixed rate without one.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -17,6 +18,9 @@ pub trait Outlet: Send {
     fn fly(&mut self, now: Timestamp, velocity_in_heading: &Vector3<f64>);
 
     fn note(&mut self, moment: &StationMoment);
+
+    /// An image made the loop fail; it goes on without what it knew.
+    fn fault(&mut self, captured_at: Timestamp);
 }
 
 /// The running loop.
@@ -40,7 +44,7 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    waiting: Option<(Timestamp, Image)>,
+    waiting: Option<Waiting>,
     /// Images so far, and how many of them are answered or were replaced.
     shown_count: u64,
     answered_count: u64,
@@ -52,14 +56,17 @@ struct State {
 /// Where obstacles were so long ago says nothing about where they are from the vehicle.
 const OBSTACLES_S: f64 = 1.0;
 
+/// An image, and what was known when it came.
+struct Waiting {
+    captured_at: Timestamp,
+    image: Image,
+    obstacles: Arc<[Obstacle]>,
+}
+
 /// What the loop wakes up for.
 enum Waking {
-    Image {
-        number: u64,
-        captured_at: Timestamp,
-        image: Image,
-        obstacles: Arc<[Obstacle]>,
-    },
+    /// The image with this number.
+    Image(u64, Waiting),
     Beat,
     End,
 }
@@ -94,24 +101,37 @@ fn keep<O: Outlet>(
 ) -> O {
     // Nobody may wait for a loop that has ended, however it did.
     let _closing = Closing(window);
+    let fresh = keeper.clone();
     let mut newest: Option<(Timestamp, Instant)> = None;
     let mut next_beat = Instant::now() + period;
     loop {
         match window.wake(next_beat) {
-            Waking::End => return outlet,
-            Waking::Image {
-                number,
-                captured_at,
-                image,
-                obstacles,
-            } => {
-                let moment = keeper.see(captured_at, &image, &obstacles);
-                if let Some(moment) = &moment {
-                    newest = Some((captured_at, Instant::now()));
-                    outlet.fly(captured_at, &moment.velocity);
+            Waking::End => {
+                if let Some((captured_at, at)) = newest {
+                    outlet.fly(captured_at.after(at.elapsed()), &Vector3::zeros());
+                }
+                return outlet;
+            }
+            Waking::Image(number, waiting) => {
+                let captured_at = waiting.captured_at;
+                // What an image breaks is thrown away whole.
+                let seen = catch_unwind(AssertUnwindSafe(|| {
+                    keeper.see(captured_at, &waiting.image, &waiting.obstacles)
+                }));
+                match &seen {
+                    Ok(None) => {}
+                    Ok(Some(moment)) => {
+                        newest = Some((captured_at, Instant::now()));
+                        outlet.fly(captured_at, &moment.velocity);
+                    }
+                    Err(_) => {
+                        keeper = fresh.clone();
+                        outlet.fly(captured_at, &Vector3::zeros());
+                        outlet.fault(captured_at);
+                    }
                 }
                 window.answer(number);
-                if let Some(moment) = &moment {
+                if let Ok(Some(moment)) = &seen {
                     outlet.note(moment);
                 }
             }
@@ -129,7 +149,17 @@ fn keep<O: Outlet>(
 impl StationWindow {
     pub fn show(&self, captured_at: Timestamp, image: Image) {
         let mut state = self.lock();
-        state.waiting = Some((captured_at, image));
+        let is_known = captured_at - state.obstacles_at <= OBSTACLES_S;
+        let obstacles = if is_known {
+            Arc::clone(&state.obstacles)
+        } else {
+            Arc::default()
+        };
+        state.waiting = Some(Waiting {
+            captured_at,
+            image,
+            obstacles,
+        });
         state.shown_count += 1;
         self.shared.changed.notify_all();
     }
@@ -143,7 +173,8 @@ impl StationWindow {
     }
 
     /// Waits until all that was shown is answered, so that a velocity goes out before the
-    /// acknowledgement of its image. The loop waits for nobody, so this is short.
+    /// acknowledgement of its image. The loop waits for no other thread, so this takes as long as
+    /// the outlet does.
     pub fn wait_until_answered(&self) {
         let mut state = self.lock();
         while state.answered_count < state.shown_count && !state.is_closed {
@@ -158,18 +189,8 @@ impl StationWindow {
             if state.is_closed {
                 return Waking::End;
             }
-            if let Some((captured_at, image)) = state.waiting.take() {
-                let is_known = captured_at - state.obstacles_at <= OBSTACLES_S;
-                return Waking::Image {
-                    number: state.shown_count,
-                    captured_at,
-                    image,
-                    obstacles: if is_known {
-                        Arc::clone(&state.obstacles)
-                    } else {
-                        Arc::default()
-                    },
-                };
+            if let Some(waiting) = state.waiting.take() {
+                return Waking::Image(state.shown_count, waiting);
             }
             let left = next_beat.saturating_duration_since(Instant::now());
             if left.is_zero() {

@@ -6,9 +6,10 @@ use camera::{Calibration, Image};
 use geometry::Timestamp;
 use keeping::markers::{CameraMarkers, FinderSettings, FramePairs, MarkerTrack, TrackerSettings};
 use keeping::mount::{self, Sightings};
+use keeping::safety::OBSTACLE_COUNT_MAX;
 use keeping::{
-    CameraMount, FieldOfView, GuardedFollower, GuardedFollowerSettings, Keeper, KeeperSettings,
-    LightPair, MarkerModel, Obstacle, Perception, SafetySettings,
+    Bounded, CameraMount, FieldOfView, GuardedFollower, GuardedFollowerSettings, Keeper,
+    KeeperSettings, LightPair, MarkerModel, Obstacle, OwnMotion, Perception, SafetySettings, held,
 };
 use nalgebra::Vector3;
 
@@ -51,7 +52,13 @@ pub enum StationError {
          {distance_m_min} m: another separation_px, preferred_m or distance_m_min is needed"
     )]
     TooNear { place_m: f64, distance_m_min: f64 },
-    #[error("the calibration does not hold at the borders of the image")]
+    /// Lights one above the other would not look like that.
+    #[error(
+        "the camera is turned by {roll_deg:.0}° about its axis or looks up or down too far \
+         (T_BS of its calibration): it is to be mounted with its rows level to {ROLL_DEG_MAX}°"
+    )]
+    NotUpright { roll_deg: f64 },
+    #[error("the camera does not cover level, or its calibration does not hold at its borders")]
     View,
 }
 
@@ -91,34 +98,23 @@ struct SwarmPilot {
     view: FieldOfView,
     sightings: Sightings,
     speed_mps: f64,
-    /// As far as the autopilot has taken up what was commanded.
-    own: Vector3<f64>,
-    commanded: Vector3<f64>,
+    own: OwnMotion,
 }
 
-/// A camera that is silent for longer shows nobody who is near: what was commanded decays.
-const HOLD_S: f64 = 0.3;
-const DECAY_S: f64 = 0.2;
 /// Room for gusts, of the way from the smallest distance to the place: a place near the smallest
 /// distance leaves less than the filter would take.
 const ROOM_FOR_GUSTS_SHARE: f64 = 0.5;
 /// Time constant with which a small vehicle takes up a velocity.
 const LAG_S: f64 = 0.3;
+/// As far as a pair may be tilted for the finder.
+const ROLL_DEG_MAX: f64 = 20.0;
 
 impl StationKeeper {
     pub fn new(
         settings: &StationSettings,
         calibration: &Calibration,
     ) -> Result<Self, StationError> {
-        let mount = CameraMount {
-            camera: calibration.camera.clone(),
-            heading_from_camera: *calibration.body_from_camera.rotation(),
-            baseline_rad: FRAC_PI_2,
-            markers: MarkerModel {
-                length_m: settings.light_distance_m,
-                ..MarkerModel::default()
-            },
-        };
+        let mount = mount_of(settings, calibration)?;
         let pilot = match settings.rule {
             StationRule::Follow {
                 separation_px,
@@ -142,13 +138,13 @@ impl StationKeeper {
                 Pilot::Swarm(Box::new(pilot.ok_or(StationError::View)?))
             }
         };
-        let width_px = mount.camera.width();
+        let finder = FinderSettings {
+            baseline_rad: mount.baseline_rad,
+            ..FinderSettings::default()
+        };
+        let tracker = TrackerSettings::default();
         Ok(Self {
-            markers: CameraMarkers::new(
-                FinderSettings::default(),
-                TrackerSettings::default(),
-                width_px,
-            ),
+            markers: CameraMarkers::new(finder, tracker, mount.camera.width()),
             mount,
             pilot,
             newest: None,
@@ -157,7 +153,8 @@ impl StationKeeper {
 
     /// Takes an image in; one that is not newer than the last changes nothing.
     ///
-    /// - `obstacles`: what is known of them now, in the heading frame, the nearest first.
+    /// - `obstacles`: what a map shows, in the heading frame, the nearest first. A map may be
+    ///   wrong: it stops the vehicle, and never drives it.
     pub fn see(
         &mut self,
         captured_at: Timestamp,
@@ -169,6 +166,15 @@ impl StationKeeper {
             return None;
         }
         let step_s = before.map_or(0.0, |before| captured_at - before);
+        let clearance_m_min = SafetySettings::default().clearance_m_min;
+        let mut stopping: Bounded<Obstacle, OBSTACLE_COUNT_MAX> = Bounded::default();
+        for obstacle in obstacles.iter().take(OBSTACLE_COUNT_MAX) {
+            let _ = stopping.push(Obstacle {
+                clearance_m: obstacle.clearance_m.max(clearance_m_min),
+                ..*obstacle
+            });
+        }
+        let obstacles: &[Obstacle] = &stopping;
         let (frame, tracks) = self.markers.see(image, captured_at, None);
         let moment = match &mut self.pilot {
             Pilot::Follower(follower) => {
@@ -204,9 +210,31 @@ impl StationKeeper {
         let Some(newest) = &self.newest else {
             return Vector3::zeros();
         };
-        let silent_s = (now - newest.captured_at - HOLD_S).max(0.0);
-        newest.velocity * (-silent_s / DECAY_S).exp()
+        held(&newest.velocity, now - newest.captured_at)
     }
+}
+
+/// The body is taken to be level.
+fn mount_of(
+    settings: &StationSettings,
+    calibration: &Calibration,
+) -> Result<CameraMount, StationError> {
+    let mut mount = CameraMount {
+        camera: calibration.camera.clone(),
+        heading_from_camera: *calibration.body_from_camera.rotation(),
+        baseline_rad: FRAC_PI_2,
+        markers: MarkerModel {
+            length_m: settings.light_distance_m,
+            ..MarkerModel::default()
+        },
+    };
+    let upright_rad = mount.upright_rad().unwrap_or(0.0);
+    let roll_deg = (upright_rad.abs() - FRAC_PI_2).abs().to_degrees();
+    if roll_deg > ROLL_DEG_MAX {
+        return Err(StationError::NotUpright { roll_deg });
+    }
+    mount.baseline_rad = upright_rad;
+    Ok(mount)
 }
 
 /// The filter for a place at this distance from the next vehicle.
@@ -246,37 +274,30 @@ impl SwarmPilot {
             view: mount.view()?,
             sightings: Sightings::default(),
             speed_mps,
-            own: Vector3::zeros(),
-            commanded: Vector3::zeros(),
+            own: OwnMotion::new(LAG_S),
         })
     }
 
     fn look(&mut self, mount: &CameraMount, frame: &FramePairs<'_>, tracks: &[MarkerTrack]) {
         self.sightings.clear();
-        let apart = tracks
-            .iter()
-            .filter_map(|track| mount.sighting_of_track(track));
-        let merged = frame
-            .merged
-            .iter()
-            .filter_map(|merged| mount.sighting_of_merged(merged));
-        for sighting in apart.chain(merged) {
+        for sighting in mount.sightings(frame, tracks) {
             mount::join(&mut self.sightings, sighting);
         }
     }
 
     fn step(&mut self, obstacles: &[Obstacle], step_s: f64) -> Vector3<f64> {
-        self.own += (self.commanded - self.own) * (1.0 - (-step_s / LAG_S).exp());
+        self.own.advance(step_s);
         let perception = Perception {
             sightings: &self.sightings,
             obstacles,
             views: &[self.view],
             // The autopilot holds the heading that the vehicle began with.
             heading_rad: 0.0,
-            velocity: self.own,
+            velocity: *self.own.velocity(),
             nominal_mps: self.speed_mps,
         };
-        self.commanded = self.keeper.step(&perception, step_s).velocity;
-        self.commanded
+        let velocity = self.keeper.step(&perception, step_s).velocity;
+        self.own.command(&velocity);
+        velocity
     }
 }

@@ -160,6 +160,10 @@ impl Outlet for Listener {
         // The second image is one too many for this one.
         assert!(moment.captured_at < stamp(100));
     }
+
+    fn fault(&mut self, captured_at: Timestamp) {
+        let _ = self.0.send((captured_at, Vector3::repeat(f64::NAN)));
+    }
 }
 
 fn start() -> (StationLoop<Listener>, Receiver<(Timestamp, Vector3<f64>)>) {
@@ -219,6 +223,52 @@ fn obstacles_that_were_told_of_are_heeded_while_they_are_new() {
     let free = left_mps(None);
     assert!(free > 0.2, "{free}");
     assert_eq!(left_mps(Some(stamp(10))), free);
+}
+
+/// Goal: an image that makes the loop fail stops the vehicle for that image and nothing else.
+/// Method: an image of another size than the camera's, which nobody but the drivers refuses.
+#[test]
+fn a_fault_costs_one_image() {
+    let (station, velocities) = start();
+    let window = station.window();
+    let show = |idx: usize, image: Image| {
+        window.show(stamp(idx), image);
+        window.wait_until_answered();
+        let answers = velocities.try_iter().filter(|(now, _)| *now == stamp(idx));
+        answers.map(|(_, velocity)| velocity).collect::<Vec<_>>()
+    };
+    for idx in 0..5 {
+        show(idx, picture(2.6, 0.5, idx as u64));
+    }
+    // Wider than the finder's rows by so much that it allocates, and then looks outside.
+    let odd = show(5, Image::filled(5000, 1, 9));
+    assert!(!odd.is_empty());
+    let after = show(6, picture(2.6, 0.5, 6));
+    assert_eq!(after.len(), 1);
+    assert!(station.finish().is_some());
+}
+
+/// Goal: a vehicle is not left flying by a loop that ends.
+#[test]
+fn the_last_word_is_to_stand_still() {
+    let (station, velocities) = start();
+    let window = station.window();
+    for idx in 0..5 {
+        window.show(stamp(idx), picture(2.6, 0.5, idx as u64));
+        window.wait_until_answered();
+    }
+    station.finish().unwrap();
+    let (_, last) = velocities.try_iter().last().unwrap();
+    assert_eq!(last, Vector3::zeros());
+}
+
+#[test]
+fn a_camera_on_its_side_is_refused() {
+    let text = "intrinsics: [180, 180, 160, 120]\nresolution: [320, 240]\n\
+                T_BS:\n  data: [0, 0, 1, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 1]\n";
+    let calibration = Calibration::from_euroc_yaml(text).unwrap();
+    let error = StationKeeper::new(&settings(), &calibration).unwrap_err();
+    assert!(error.to_string().contains("turned by 90°"), "{error}");
 }
 
 #[test]

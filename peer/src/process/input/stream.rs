@@ -1,7 +1,7 @@
 //! A stream driver: frames and fixes over TCP, each frame acknowledged.
 
 use std::io::{self, BufRead, BufReader, ErrorKind};
-use std::net::{TcpStream, ToSocketAddrs};
+use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -15,8 +15,9 @@ use super::stamp_gate::StampGate;
 use super::{Input, Skipped, Source, VelocitySink};
 use crate::dataset::ImageError;
 
-/// Acknowledgements and velocities come from different threads.
-type Writer = Arc<Mutex<TcpStream>>;
+/// Acknowledgements and velocities come from different threads. Nothing is left of it once a
+/// message could not be written: a part of one would spoil all that follow.
+type Writer = Arc<Mutex<Option<TcpStream>>>;
 
 /// The vehicle's side of the connection.
 pub struct StreamSource {
@@ -63,7 +64,7 @@ impl StreamSource {
             takes_fixes: true,
             patience,
             reader,
-            writer: Arc::new(Mutex::new(writer)),
+            writer: Arc::new(Mutex::new(Some(writer))),
             frame_gate: StampGate::default(),
             fix_gate: StampGate::default(),
             has_ended: false,
@@ -196,17 +197,29 @@ impl Source for StreamSource {
                 captured_at,
                 velocity_in_heading: *velocity_in_heading,
             };
-            send(&writer, &Message::Velocity(command));
+            send(&writer, &Message::Velocity(command))
         }))
     }
 }
 
-/// Whoever reads the stream learns that the driver has gone.
-fn send(writer: &Writer, message: &Message) {
+/// False if the driver takes nothing more; whoever reads the stream learns why.
+fn send(writer: &Writer, message: &Message) -> bool {
     let mut writer = writer.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Err(error) = stream::write_message(&mut *writer, message) {
+    let Some(stream) = writer.as_mut() else {
+        return false;
+    };
+    let Err(error) = stream::write_message(stream, message) else {
+        return true;
+    };
+    if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) {
+        tracing::warn!("the stream driver does not read what is sent to it, and is given up");
+    } else {
         tracing::debug!(%error, "the stream driver has gone");
     }
+    // So that reading ends too.
+    let _ = stream.shutdown(Shutdown::Both);
+    *writer = None;
+    false
 }
 
 fn connect(address: &str, patience: Duration) -> io::Result<TcpStream> {
