@@ -14,8 +14,8 @@
 //! Then come fixes and frames in the order of their time stamps. The vehicle acknowledges each
 //! frame once its pose is published, and the next frame waits for that. A vehicle that commands
 //! its own flight says [`Message::Velocity`] whenever it wants, and what it wants because of a
-//! frame before it acknowledges that frame. [`Message::End`] closes the route. No pose, no depth
-//! and no identity is on this wire.
+//! frame before it acknowledges that frame. The one with the frame's stamp flies, or else the
+//! newest. [`Message::End`] closes the route. No pose, no depth and no identity is on this wire.
 
 use std::io::{self, Read, Write};
 

@@ -150,8 +150,11 @@ impl Link {
             .map_err(|error| format!("cannot send: {error}"))
     }
 
-    /// Waits until a frame is acknowledged: the newest velocity that was commanded until then, if
-    /// any was since the last one.
+    /// Waits until a frame is acknowledged: the velocity that was commanded because of it, or else
+    /// the newest that was commanded since the last one, if any was.
+    ///
+    /// A vehicle that is slow repeats velocities that decay on its own clock. The simulated clock
+    /// stands still meanwhile, so they do not replace what it made of the frame.
     pub fn await_acknowledgement(
         &mut self,
         expected: Timestamp,
@@ -160,14 +163,17 @@ impl Link {
             stream: &self.stream,
             deadline: Instant::now() + self.timeout,
         };
-        let mut velocity_in_heading = None;
+        let (mut because_of_frame, mut newest) = (None, None);
         loop {
             match stream::read_message(&mut reader) {
                 Ok(Message::Velocity(command)) => {
-                    velocity_in_heading = Some(command.velocity_in_heading);
+                    newest = Some(command.velocity_in_heading);
+                    if command.captured_at == expected {
+                        because_of_frame = newest;
+                    }
                 }
                 Ok(Message::Acknowledgement { captured_at }) if captured_at == expected => {
-                    return Ok(velocity_in_heading);
+                    return Ok(because_of_frame.or(newest));
                 }
                 Ok(Message::Acknowledgement { captured_at }) => {
                     return Err(format!(
@@ -177,7 +183,7 @@ impl Link {
                 Ok(_) => {
                     return Err("sent something else than a velocity or an acknowledgement".into());
                 }
-                Err(error) => return Err(self.why_lost(&error, velocity_in_heading.is_some())),
+                Err(error) => return Err(self.why_lost(&error, newest.is_some())),
             }
         }
     }
@@ -202,5 +208,44 @@ impl Link {
     /// Says that nothing follows. A vehicle that has left already does not need to hear it.
     pub fn end(mut self) {
         let _ = stream::write_message(&mut self.stream, &Message::End);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::VelocityCommand;
+
+    /// - `commands`: milliseconds after the frame, and m/s.
+    fn check(commands: &[(i64, f64)], expected: Option<f64>) {
+        let (listener, address) = listen(1).unwrap().remove(0);
+        let mut vehicle = TcpStream::connect(address).unwrap();
+        let stream = listener.accept().unwrap().0;
+        let mut link = Link::new(stream, Duration::from_secs(20)).unwrap();
+        let captured_at = Timestamp::from_nanoseconds(7_000_000_000);
+        for (late_ms, speed_mps) in commands {
+            let stamp_ns = 7_000_000_000 + late_ms * 1_000_000;
+            let command = Message::Velocity(VelocityCommand {
+                captured_at: Timestamp::from_nanoseconds(stamp_ns),
+                velocity_in_heading: Vector3::x() * *speed_mps,
+            });
+            stream::write_message(&mut vehicle, &command).unwrap();
+        }
+        let answer = Message::Acknowledgement { captured_at };
+        stream::write_message(&mut vehicle, &answer).unwrap();
+        let flown = link.await_acknowledgement(captured_at).unwrap();
+        assert_eq!(flown.map(|velocity| velocity.x), expected, "{commands:?}");
+    }
+
+    /// Goal: what a vehicle repeats on its wall clock does not count while the simulated clock
+    /// stands still. Method: speeds with stamps around that of the frame, in all kinds of order.
+    #[test]
+    fn the_velocity_because_of_the_frame_flies() {
+        check(&[], None);
+        check(&[(0, 1.0)], Some(1.0));
+        check(&[(0, 1.0), (500, 0.0)], Some(1.0));
+        check(&[(-40, 0.3), (0, 1.0), (0, 2.0), (80, 0.5)], Some(2.0));
+        check(&[(500, 0.1), (0, 1.0)], Some(1.0));
+        check(&[(-40, 0.3), (80, 0.2)], Some(0.2));
     }
 }

@@ -20,7 +20,9 @@ fn fly(address: SocketAddr, frame_count_max: usize) -> Seen {
     fly_commanding(address, frame_count_max, &[])
 }
 
-/// The same, with these commands before each acknowledgement.
+/// The same, with these commands before each acknowledgement. The first one has the frame's stamp,
+/// and each other one is stamped half a second after the one before, as on the wall clock of a slow
+/// vehicle.
 fn fly_commanding(address: SocketAddr, frame_count_max: usize, velocities: &[[f64; 3]]) -> Seen {
     let mut stream = TcpStream::connect(address).unwrap();
     stream::write_message(&mut stream, &Message::Hello).unwrap();
@@ -31,9 +33,10 @@ fn fly_commanding(address: SocketAddr, frame_count_max: usize, velocities: &[[f6
             Message::Frame(frame) => {
                 let captured_at = frame.captured_at;
                 seen.frames.push(frame);
-                for velocity in velocities {
+                for (idx, velocity) in velocities.iter().enumerate() {
+                    let late = Duration::from_millis(500 * idx as u64);
                     let command = Message::Velocity(VelocityCommand {
-                        captured_at,
+                        captured_at: captured_at.after(late),
                         velocity_in_heading: Vector3::from(*velocity),
                     });
                     stream::write_message(&mut stream, &command).unwrap();
@@ -234,8 +237,8 @@ fn only_who_keeps_its_place_flies_as_it_commands() {
         frame_count_max: Some(15),
         ..settings()
     };
-    // The newest command before an acknowledgement counts.
-    let commands: &[[f64; 3]] = &[[5.0, 5.0, 5.0], [-0.5, 0.0, 0.0]];
+    // The command because of the frame counts, not what a slow vehicle says after it.
+    let commands: &[[f64; 3]] = &[[-0.5, 0.0, 0.0], [0.0, 0.0, 0.0]];
     let (report, seen) = run_commanded(&settings, [100; 3], commands);
     let scenario = scenario();
     for vehicle_idx in 0..3 {
