@@ -5,9 +5,10 @@ mod pacer;
 mod render;
 mod truth;
 
+use std::any::Any;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -135,6 +136,11 @@ pub enum ServeError {
     Listen(std::io::Error),
     #[error("no vehicle connected and said hello within {waited_s:.0} s: {missing}")]
     NobodyCame { waited_s: f64, missing: String },
+    #[error(
+        "rendering stopped at a bug of the simulator, so the vehicles get no more frames: run it \
+         again with RUST_BACKTRACE=1 and report what it prints with the seed {seed}: {panicked}"
+    )]
+    RendererPanicked { seed: u64, panicked: String },
 }
 
 /// Renders the scenario for every vehicle that connects, frame by frame, until the routes end.
@@ -177,34 +183,57 @@ fn serve_scenario(
             frame_count,
             requests,
         };
-        // The scene is painted while the vehicles connect.
-        let mut motions = service.fly_to(0);
-        service.connect()?;
-        let mut pacer = Pacer::new(settings.pace, 1.0 / scenario.frame_rate_hz);
-        let mut frames_done = 0;
-        let mut start = None;
-        while frames_done < frame_count {
-            // Paused until the first images are there: painting is not part of the mission.
-            let Ok(images) = frames.recv() else { break };
-            let start = *start.get_or_insert_with(Instant::now);
-            pacer.wait();
-            if settings.is_end_wished() {
-                break;
-            }
-            service.send(frames_done, &images, &motions);
-            motions = service.fly_to(frames_done + 1);
-            if !service.await_acknowledgements(frames_done) {
-                break;
-            }
-            frames_done += 1;
-            service.observe_frame(frames_done - 1, start.elapsed());
-        }
-        let wall_s = start.map_or(0.0, |start: Instant| start.elapsed().as_secs_f64());
+        let flown = service.fly_route(&frames);
+        let Service {
+            vehicles, requests, ..
+        } = service;
         // The thread ends once nobody can ask it for frames.
-        let report = service.finish(frames_done, wall_s);
-        let _ = renders.join();
-        Ok(report)
+        drop(requests);
+        // Then nobody hears of an orderly end.
+        renders
+            .join()
+            .map_err(|panicked| ServeError::RendererPanicked {
+                seed: scenario.seed,
+                panicked: words_of(&*panicked).into(),
+            })?;
+        Ok(finish(scenario, vehicles, &flown?))
     })
+}
+
+/// What a thread said when it panicked.
+fn words_of(panicked: &(dyn Any + Send)) -> &str {
+    let text = panicked.downcast_ref::<&str>().copied();
+    text.or_else(|| panicked.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("it panicked without words")
+}
+
+/// How far the routes were flown.
+struct Flown {
+    frame_count: usize,
+    wall_s: f64,
+}
+
+/// Ends the routes of those who are left.
+fn finish(scenario: &Scenario, vehicles: Vec<ServedVehicle>, flown: &Flown) -> ServeReport {
+    let mut reports = Vec::new();
+    for vehicle in vehicles {
+        if let Some(link) = vehicle.link {
+            link.end();
+        }
+        reports.push(vehicle.report);
+    }
+    let Flown {
+        frame_count,
+        wall_s,
+    } = *flown;
+    let simulated_s = scenario.frame_time_s(frame_count.saturating_sub(1));
+    ServeReport {
+        frame_count,
+        simulated_s,
+        wall_s,
+        realtime_factor: (wall_s > 0.0).then(|| simulated_s / wall_s),
+        vehicles: reports,
+    }
 }
 
 /// The simulator's side of one vehicle.
@@ -247,6 +276,36 @@ struct Service<'a> {
 }
 
 impl Service<'_> {
+    /// Until the routes end, or as long as anybody is left, and images come.
+    fn fly_route(&mut self, frames: &Receiver<Vec<Option<Image>>>) -> Result<Flown, ServeError> {
+        // The scene is painted while the vehicles connect.
+        let mut motions = self.fly_to(0);
+        self.connect()?;
+        let mut pacer = Pacer::new(self.settings.pace, 1.0 / self.scenario.frame_rate_hz);
+        let mut frames_done = 0;
+        let mut start = None;
+        while frames_done < self.frame_count {
+            // Paused until the first images are there: painting is not part of the mission.
+            let Ok(images) = frames.recv() else { break };
+            let start = *start.get_or_insert_with(Instant::now);
+            pacer.wait();
+            if self.settings.is_end_wished() {
+                break;
+            }
+            self.send(frames_done, &images, &motions);
+            motions = self.fly_to(frames_done + 1);
+            if !self.await_acknowledgements(frames_done) {
+                break;
+            }
+            frames_done += 1;
+            self.observe_frame(frames_done - 1, start.elapsed());
+        }
+        Ok(Flown {
+            frame_count: frames_done,
+            wall_s: start.map_or(0.0, |start: Instant| start.elapsed().as_secs_f64()),
+        })
+    }
+
     fn connect(&mut self) -> Result<(), ServeError> {
         let listeners = link::listen(self.vehicles.len())?;
         let vehicles = self.vehicles.iter().zip(&listeners);
@@ -295,7 +354,7 @@ impl Service<'_> {
         let motions = self.flight.advance();
         if frame_idx < self.frame_count {
             let is_served = |vehicle: &ServedVehicle| vehicle.is_awaited || vehicle.link.is_some();
-            // A thread that has ended sends no images, which ends the route.
+            // A thread that has panicked sends no images, which ends the route.
             let _ = self.requests.send(Request {
                 frame_idx,
                 motions: motions.clone(),
@@ -375,24 +434,6 @@ impl Service<'_> {
         };
         let id = vehicle.report.id.clone();
         (self.observe)(&ServeEvent::VehicleLost { id, reason });
-    }
-
-    fn finish(self, frames_done: usize, wall_s: f64) -> ServeReport {
-        let mut reports = Vec::new();
-        for vehicle in self.vehicles {
-            if let Some(link) = vehicle.link {
-                link.end();
-            }
-            reports.push(vehicle.report);
-        }
-        let simulated_s = self.scenario.frame_time_s(frames_done.saturating_sub(1));
-        ServeReport {
-            frame_count: frames_done,
-            simulated_s,
-            wall_s,
-            realtime_factor: (wall_s > 0.0).then(|| simulated_s / wall_s),
-            vehicles: reports,
-        }
     }
 }
 

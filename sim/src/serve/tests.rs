@@ -315,6 +315,34 @@ fn says_who_never_came() {
     assert!(matches!(report.vehicles[0].ending, Ending::Lost { .. }));
 }
 
+/// Goal: a route without pictures does not count as finished, for nobody. Method: a wall that no
+/// memory can hold, which stops the painter.
+#[test]
+fn a_renderer_that_panics_is_an_error() {
+    let mut scenario = scenario();
+    scenario.world.panels[0].width_m = f64::INFINITY;
+    let (sender, endings) = channel();
+    let mut observe = |event: &ServeEvent| {
+        if let ServeEvent::Listening { vehicles, .. } = event {
+            for vehicle in vehicles {
+                let (address, sender) = (vehicle.address, sender.clone());
+                thread::spawn(move || {
+                    let mut stream = TcpStream::connect(address).unwrap();
+                    stream::write_message(&mut stream, &Message::Hello).unwrap();
+                    assert_eq!(stream::read_message(&mut stream).unwrap(), Message::Hello);
+                    sender.send(stream::read_message(&mut stream).is_ok())
+                });
+            }
+        }
+    };
+    let error = serve_scenario(&scenario, &settings(), &mut observe).unwrap_err();
+    let is_panic = matches!(error, ServeError::RendererPanicked { seed: 1, .. });
+    assert!(is_panic, "{error}");
+    for _ in 0..3 {
+        assert!(!endings.recv().unwrap(), "a vehicle heard of an end");
+    }
+}
+
 #[test]
 fn frames_follow_the_wall_clock_and_come_out_the_same() {
     let paced = ServeSettings {
