@@ -3,6 +3,7 @@
 //! Levels are grey levels at exposure one, without upper bound; the sensor clips them.
 
 mod grain;
+mod pair;
 mod scene;
 
 use std::ops::Range;
@@ -14,7 +15,11 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 
 pub use grain::Grain;
+pub use pair::picture_of_pair;
 pub use scene::{MarkerFrame, MarkerScene, TruePair};
+
+/// What lens and pixel make of a point: the standard deviation of a Gaussian.
+pub(crate) const LENS_SIGMA_PX: f64 = 0.9;
 
 /// A vehicle's two lights, one above the other in its body's frame, with the origin between them.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -8,14 +8,10 @@ use camera::{Calibration, Image};
 use geometry::Timestamp;
 use keeping::Obstacle;
 use nalgebra::Vector3;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use sim::marker_light::{Irradiance, LightSpot, Sensor};
+use sim::marker_light::{MarkerLights, picture_of_pair};
 
 use super::*;
 
-const FOCAL_PX: f64 = 180.0;
-const CENTER_PX: [f64; 2] = [160.0, 120.0];
 const LIGHTS_M: f64 = 0.1;
 
 fn calibration() -> Calibration {
@@ -45,23 +41,9 @@ fn stamp(image_idx: usize) -> Timestamp {
 
 /// What a camera shows of two lights ahead and to the left of it.
 fn picture(ahead_m: f64, left_m: f64, seed: u64) -> Image {
-    let mut light = Irradiance::filled(320, 240, 60.0);
-    for up_m in [0.5 * LIGHTS_M, -0.5 * LIGHTS_M] {
-        light.add_spot(&LightSpot {
-            center_px: [
-                CENTER_PX[0] - FOCAL_PX * left_m / ahead_m,
-                CENTER_PX[1] - FOCAL_PX * up_m / ahead_m,
-            ],
-            sigma_px: 0.9,
-            peak: 600.0 / ahead_m.powi(2),
-            streak_px: [0.0, 0.0],
-        });
-    }
-    let sensor = Sensor {
-        exposure: 1.0,
-        noise: 2.0,
-    };
-    light.expose(&sensor, &mut ChaCha8Rng::seed_from_u64(seed))
+    let lights = MarkerLights { length_m: LIGHTS_M };
+    let middle_in_camera = Vector3::new(-left_m, 0.0, ahead_m);
+    picture_of_pair(&calibration().camera, &lights, &middle_in_camera, seed)
 }
 
 /// Goal: pixels to motion and back, the place is taken. Method: a vehicle with 0.3 s of lag that

@@ -7,7 +7,7 @@ use camera::Image;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Irradiance, LightSpot, Sensor};
+use super::{Irradiance, LENS_SIGMA_PX, LightSpot, Sensor};
 
 /// A kind of picture; the same scene and seed give the same bytes.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,7 +78,7 @@ impl MarkerScene {
                 noise: 3.0,
             },
             blur_px: 0.0,
-            sigma_px: 0.9,
+            sigma_px: LENS_SIGMA_PX,
             peak: 300.0..450.0,
             separations_px: vec![10.0],
             tilt_max_rad: 0.25,

@@ -3,10 +3,8 @@
 use nalgebra::Vector3;
 
 use super::{MARGIN_PX, Renderer};
-use crate::marker_light::{LightSpot, add_spot};
+use crate::marker_light::{LENS_SIGMA_PX, LightSpot, add_spot};
 
-/// What lens and pixel make of a light.
-const SIGMA_PX: f64 = 0.9;
 /// The level of a light at one metre: 700 at 1.81 m, where the sensor is well saturated.
 const PEAK_AT_1_M: f64 = 2290.0;
 /// Lights do not come nearer, and what is nearer in front of one does not hide it: it may be the
@@ -31,7 +29,7 @@ impl Renderer {
         }
         let spot = LightSpot {
             center_px: [pixel.x, pixel.y].map(|axis| axis + MARGIN_PX as f64),
-            sigma_px: SIGMA_PX,
+            sigma_px: LENS_SIGMA_PX,
             peak: PEAK_AT_1_M / point_in_camera.norm_squared(),
             // The sensor blurs everything.
             streak_px: [0.0; 2],
