@@ -60,8 +60,7 @@ impl Eyes {
     ) -> Self {
         let mounts = mounts(&view, markers);
         let cameras = mounts.iter().map(|mount| SwarmCamera {
-            intrinsics: *mount.camera.intrinsics(),
-            size_px: SIZE_PX,
+            model: mount.camera.clone(),
             heading_from_camera: mount.heading_from_camera,
         });
         let markers_of = |mount: &CameraMount| {

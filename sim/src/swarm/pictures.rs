@@ -1,19 +1,24 @@
 //! What the cameras of a drone take of the others: pictures, with nothing but light in them.
 
-use camera::{Image, Intrinsics};
+use camera::{CameraModel, Image};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::{BODY_RADIUS_M, LightBaseline, STEP_S, Snapshot, Swarm, turned};
-use crate::marker_light::{Grain, Irradiance, LightSpot, MarkerScene, Sensor};
+use crate::marker_light::{Grain, Irradiance, LENS_SIGMA_PX, LightSpot, MarkerScene, Sensor};
 
 /// A camera that every drone carries, levelled.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SwarmCamera {
-    pub intrinsics: Intrinsics,
-    pub size_px: [usize; 2],
+    pub model: CameraModel,
     pub heading_from_camera: UnitQuaternion<f64>,
+}
+
+impl SwarmCamera {
+    fn size_px(&self) -> [usize; 2] {
+        [self.model.width(), self.model.height()]
+    }
 }
 
 /// What pictures show beside the drones.
@@ -52,8 +57,6 @@ const BACKDROP_M: f64 = 12.0;
 const BODY_LEVEL: f64 = 12.0;
 /// Of a light at one metre, above what is behind it. At nine metres 130 are left.
 const PEAK_AT_1_M: f64 = 10_800.0;
-/// Of the lens.
-const BLUR_PX: f64 = 0.9;
 const LIGHT_RADIUS_M: f64 = 0.0025;
 /// Walls with lamps are so far to either side.
 const WALL_M: f64 = 8.0;
@@ -66,13 +69,13 @@ impl Studio {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let backdrop_of = |camera: &SwarmCamera| {
             let scene = MarkerScene {
-                size_px: camera.size_px.map(|side| side + BACKDROP_MARGIN_PX),
+                size_px: camera.size_px().map(|side| side + BACKDROP_MARGIN_PX),
                 ..MarkerScene::lab()
             };
             scene.backdrop(rng.random())
         };
         let backdrops = cameras.iter().map(backdrop_of).collect();
-        let widths = cameras.iter().map(|camera| camera.size_px[0]);
+        let widths = cameras.iter().map(|camera| camera.model.width());
         let width_max = widths.max().unwrap_or(0);
         let lamps = (0..settings.lamp_count).map(|_| {
             let side = if rng.random::<bool>() { 1.0 } else { -1.0 };
@@ -92,10 +95,6 @@ impl Studio {
         }
     }
 
-    pub fn cameras(&self) -> &[SwarmCamera] {
-        &self.cameras
-    }
-
     fn backdrop(&self, camera_idx: usize, scene: &Snapshot, observer: usize) -> Irradiance {
         let camera = &self.cameras[camera_idx];
         let camera_from_heading = camera.heading_from_camera.inverse();
@@ -107,10 +106,10 @@ impl Studio {
             let phase = (px + 0.5 * margin).rem_euclid(2.0 * margin);
             phase.min(2.0 * margin - phase) as usize
         };
-        let focal_px = camera.intrinsics.fx;
+        let focal_px = camera.model.intrinsics().fx;
         let turn_px = focal_px * heading_rad;
         let corner = [moved.x, moved.y].map(|part| swing(focal_px * part / BACKDROP_M + turn_px));
-        self.backdrops[camera_idx].cropped(corner, camera.size_px)
+        self.backdrops[camera_idx].cropped(corner, camera.size_px())
     }
 }
 
@@ -133,9 +132,9 @@ impl Swarm {
             add_light(&mut light, camera, &lamp);
         }
         for drone in &shown {
-            if let Some(center_px) = pixel_of(camera, &drone.in_camera) {
-                let radius_px = camera.intrinsics.fx * BODY_RADIUS_M / drone.in_camera.z;
-                light.fill_disc(center_px, radius_px, BODY_LEVEL);
+            if let Some(pixel) = camera.model.project(&drone.in_camera) {
+                let radius_px = camera.model.intrinsics().fx * BODY_RADIUS_M / drone.in_camera.z;
+                light.fill_disc([pixel.x, pixel.y], radius_px, BODY_LEVEL);
             }
             for spot in drone.lights_in_camera.iter().flatten() {
                 add_light(&mut light, camera, spot);
@@ -269,24 +268,14 @@ fn light_axis(
     }
 }
 
-fn pixel_of(camera: &SwarmCamera, in_camera: &Vector3<f64>) -> Option<[f64; 2]> {
-    let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
-    (in_camera.z > 0.0).then(|| {
-        [
-            fx * in_camera.x / in_camera.z + cx,
-            fy * in_camera.y / in_camera.z + cy,
-        ]
-    })
-}
-
 fn add_light(light: &mut Irradiance, camera: &SwarmCamera, in_camera: &Vector3<f64>) {
-    let Some(center_px) = pixel_of(camera, in_camera) else {
+    let Some(pixel) = camera.model.project(in_camera) else {
         return;
     };
-    let radius_px = camera.intrinsics.fx * LIGHT_RADIUS_M / in_camera.z;
+    let radius_px = camera.model.intrinsics().fx * LIGHT_RADIUS_M / in_camera.z;
     light.add_spot(&LightSpot {
-        center_px,
-        sigma_px: BLUR_PX.hypot(radius_px),
+        center_px: [pixel.x, pixel.y],
+        sigma_px: LENS_SIGMA_PX.hypot(radius_px),
         peak: PEAK_AT_1_M / in_camera.norm_squared(),
         streak_px: [0.0, 0.0],
     });

@@ -134,14 +134,14 @@ fn a_cylinder_hides_and_is_hit() {
 
 fn camera_ahead() -> SwarmCamera {
     let axes = nalgebra::Matrix3::from_columns(&[-Vector3::y(), -Vector3::z(), Vector3::x()]);
+    let intrinsics = camera::Intrinsics {
+        fx: 181.0,
+        fy: 181.0,
+        cx: 161.5,
+        cy: 121.5,
+    };
     SwarmCamera {
-        intrinsics: camera::Intrinsics {
-            fx: 181.0,
-            fy: 181.0,
-            cx: 161.5,
-            cy: 121.5,
-        },
-        size_px: [324, 244],
+        model: camera::CameraModel::new(324, 244, intrinsics, camera::Distortion::None).unwrap(),
         heading_from_camera: nalgebra::UnitQuaternion::from_matrix(&axes),
     }
 }
