@@ -1,7 +1,7 @@
 //! The connection to one vehicle.
 
 use std::io::{self, Read, Write};
-use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -15,6 +15,8 @@ use crate::stream::{self, Fix, Message};
 
 /// How long a client that connected may take to say hello.
 const HELLO_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long a vehicle that has heard the end may take to leave.
+const END_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A free loopback port for each vehicle.
 pub fn listen(vehicle_count: usize) -> Result<Vec<(TcpListener, SocketAddr)>, ServeError> {
@@ -206,8 +208,17 @@ impl Link {
     }
 
     /// Says that nothing follows. A vehicle that has left already does not need to hear it.
+    ///
+    /// What it still commands is read away until it leaves: a connection that is closed over
+    /// unread bytes may take the last message with it.
     pub fn end(mut self) {
         let _ = stream::write_message(&mut self.stream, &Message::End);
+        let _ = self.stream.shutdown(Shutdown::Write);
+        let mut reader = Patient {
+            stream: &self.stream,
+            deadline: Instant::now() + END_TIMEOUT,
+        };
+        let _ = io::copy(&mut reader, &mut io::sink());
     }
 }
 
