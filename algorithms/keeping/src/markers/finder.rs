@@ -164,7 +164,11 @@ impl PairFinder {
 
     fn collect_lights(&mut self, image: &Image, gates: &LightGates) -> Result<(), TooManyRuns> {
         self.padded_row.resize(image.width() + 2 * scan::ARM_PX, 0);
-        self.find_bright(image, gates.clipped_contrast_min)?;
+        let mut gates = *gates;
+        if self.find_bright(image, gates.clipped_contrast_min)? {
+            // Print and pebbles are as small and as bright as lights, but for what is clipped.
+            gates.contrast_min = f64::INFINITY;
+        }
         let brightness = |component: &Component| {
             let [x, y] = component.centroid_px();
             image.get(x.round() as usize, y.round() as usize)
@@ -184,19 +188,20 @@ impl PairFinder {
             brightest.truncate(COMPONENT_COUNT_MAX);
         }
         for (_, component) in brightest {
-            light::measure(image, component, gates, |light| keep(lights, light));
+            light::measure(image, component, &gates, |light| keep(lights, light));
         }
         Ok(())
     }
 
-    /// Runs of what stands out: of everything, or before a busy background of what stands out most.
-    fn find_bright(&mut self, image: &Image, contrast_min: f64) -> Result<(), TooManyRuns> {
+    /// Runs of what stands out: of everything, or before a busy background of what stands out most;
+    /// whether it is busy.
+    fn find_bright(&mut self, image: &Image, contrast_min: f64) -> Result<bool, TooManyRuns> {
         let mut threshold = contrast_min;
         loop {
             let (row, joiner) = (&mut self.padded_row, &mut self.joiner);
             let found = scan::find_bright(image, threshold as u8, row, joiner);
             if found.is_ok() || threshold >= CONTRAST_MIN_MAX {
-                return found;
+                return found.map(|()| threshold > contrast_min);
             }
             threshold = (threshold * BUSY_STEP).min(CONTRAST_MIN_MAX);
         }
