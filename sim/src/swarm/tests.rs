@@ -69,7 +69,8 @@ fn frames_show_the_past() {
     }
 }
 
-fn seen_from_origin(sensing: SensingSettings, others: &[Vector3<f64>]) -> Vec<Glimpse> {
+/// Drone 0 at the origin, and the others where they have always been.
+fn around_origin(sensing: SensingSettings, others: &[Vector3<f64>]) -> Swarm {
     let mut swarm = swarm(SwarmSettings {
         drone_count: others.len() + 1,
         sensing,
@@ -79,6 +80,11 @@ fn seen_from_origin(sensing: SensingSettings, others: &[Vector3<f64>]) -> Vec<Gl
     swarm.now.positions[1..].copy_from_slice(others);
     swarm.past.clear();
     swarm.past.push_back(swarm.now.clone());
+    swarm
+}
+
+fn seen_from_origin(sensing: SensingSettings, others: &[Vector3<f64>]) -> Vec<Glimpse> {
+    let mut swarm = around_origin(sensing, others);
     let mut glimpses = Vec::new();
     swarm.glimpses(0, &mut glimpses);
     glimpses
@@ -148,15 +154,7 @@ fn camera_ahead() -> SwarmCamera {
 
 /// What drone 0 at the origin takes of the others without noise.
 fn pictured(others: &[Vector3<f64>], sensing: SensingSettings) -> camera::Image {
-    let mut swarm = swarm(SwarmSettings {
-        drone_count: others.len() + 1,
-        sensing,
-        ..SwarmSettings::default()
-    });
-    swarm.now.positions[0] = Vector3::zeros();
-    swarm.now.positions[1..].copy_from_slice(others);
-    swarm.past.clear();
-    swarm.past.push_back(swarm.now.clone());
+    let mut swarm = around_origin(sensing, others);
     let settings = PictureSettings {
         noise: 0.0,
         ..PictureSettings::default()
