@@ -5,7 +5,9 @@ use std::f64::consts::FRAC_PI_2;
 use camera::Image;
 
 use super::light::{self, Light, LightGates};
-use super::pairs::{self, Candidate, MarkerPair, MergedPair, PairGates};
+use super::pairs::{
+    self, CANDIDATE_COUNT_MAX, Candidate, MarkerPair, MergedPair, PAIR_COUNT_MAX, PairGates,
+};
 use super::runs::{Component, RunJoiner, TooManyRuns};
 use super::scan;
 
@@ -75,8 +77,6 @@ const RUN_COUNT_MAX: u16 = 1024;
 const COMPONENT_COUNT_MAX: usize = 48;
 /// The faintest are forgotten.
 const LIGHT_COUNT_MAX: usize = 32;
-/// The least likely are not given.
-pub(super) const PAIR_COUNT_MAX: usize = 16;
 /// Contrasts from here on tell nothing about the noise.
 const CONTRAST_MIN_MAX: f64 = 200.0;
 const CLIPPED_CONTRAST_SHARE: f64 = 0.4;
@@ -112,7 +112,7 @@ impl PairFinder {
             joiner: RunJoiner::with_run_count_max(RUN_COUNT_MAX),
             brightest: Vec::with_capacity(usize::from(RUN_COUNT_MAX)),
             lights: Vec::with_capacity(LIGHT_COUNT_MAX),
-            candidates: Vec::with_capacity(LIGHT_COUNT_MAX * LIGHT_COUNT_MAX / 2),
+            candidates: Vec::with_capacity(CANDIDATE_COUNT_MAX),
             taken: Vec::with_capacity(LIGHT_COUNT_MAX),
             pairs: Vec::with_capacity(PAIR_COUNT_MAX),
             merged: Vec::with_capacity(PAIR_COUNT_MAX),
@@ -238,7 +238,7 @@ impl PairFinder {
                 && light.elongation >= MERGED_ELONGATION_MIN
                 && separation_px >= MERGED_SEPARATION_MIN_PX
                 && tilt <= self.settings.tilt_max_rad;
-            if is_merged && self.merged.len() < self.merged.capacity() {
+            if is_merged && self.merged.len() < PAIR_COUNT_MAX {
                 self.merged.push(MergedPair {
                     center_px: light.center_px,
                     separation_px_max: RESOLVED_PX,

@@ -48,6 +48,10 @@ pub(super) struct Candidate {
     second: u16,
 }
 
+/// The least likely are not given.
+pub(super) const PAIR_COUNT_MAX: usize = 16;
+/// Every pair of [`super::finder`]'s lights, once.
+pub(super) const CANDIDATE_COUNT_MAX: usize = 512;
 /// Brightness of the two lights of one drone, one standard deviation of its logarithm.
 const LOG_CONTRAST_SIGMA: f64 = 0.15;
 /// A whole number of pixels: coarse for small lights.
@@ -68,7 +72,7 @@ pub(super) fn angle_between_lines(a_rad: f64, b_rad: f64) -> f64 {
 ///
 /// - `noise`: of a pixel of `image`.
 /// - `candidates`, `taken`: buffers, cleared here.
-/// - `pairs`: filled up to its capacity.
+/// - `pairs`: filled up to [`PAIR_COUNT_MAX`].
 pub(super) fn find_pairs(
     image: &Image,
     noise: f64,
@@ -81,7 +85,7 @@ pub(super) fn find_pairs(
     candidates.clear();
     for (first, a) in lights.iter().enumerate() {
         for (second, b) in lights.iter().enumerate().skip(first + 1) {
-            if candidates.len() == candidates.capacity() {
+            if candidates.len() == CANDIDATE_COUNT_MAX {
                 break;
             }
             if fits_geometry(a, b, gates) {
@@ -116,7 +120,7 @@ pub(super) fn find_pairs(
     taken.fill(false);
     for candidate in candidates {
         let [first, second] = candidate.lights();
-        if taken[first] || taken[second] || pairs.len() == pairs.capacity() {
+        if taken[first] || taken[second] || pairs.len() == PAIR_COUNT_MAX {
             continue;
         }
         taken[first] = true;

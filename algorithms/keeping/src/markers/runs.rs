@@ -73,6 +73,7 @@ pub(super) struct TooManyRuns;
 /// Joins runs of neighbouring rows as they come, row by row from the top.
 #[derive(Clone, Debug)]
 pub(super) struct RunJoiner {
+    run_count_max: usize,
     runs: Vec<Run>,
     /// For each run, another run of its component, nearer to the first; the first names itself.
     parents: Vec<u16>,
@@ -86,6 +87,7 @@ impl RunJoiner {
     pub fn with_run_count_max(run_count_max: u16) -> Self {
         let count = usize::from(run_count_max);
         Self {
+            run_count_max: count,
             runs: Vec::with_capacity(count),
             parents: Vec::with_capacity(count),
             components: Vec::with_capacity(count),
@@ -103,7 +105,7 @@ impl RunJoiner {
 
     /// Adds a run; rows come in order, and runs of a row from left to right, not touching.
     pub fn push(&mut self, run: Run) -> Result<(), TooManyRuns> {
-        if self.runs.len() == self.runs.capacity() {
+        if self.runs.len() == self.run_count_max {
             return Err(TooManyRuns);
         }
         self.start_row(run.y);

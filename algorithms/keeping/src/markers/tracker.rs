@@ -11,8 +11,8 @@ use geometry::Timestamp;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::blink::{BlinkCode, Brightness, HISTORY_LEN};
-use super::finder::{FramePairs, PAIR_COUNT_MAX};
-use super::pairs::MarkerPair;
+use super::finder::FramePairs;
+use super::pairs::{MarkerPair, PAIR_COUNT_MAX};
 use filter::Filter;
 
 /// How tracks are begun, believed and given up.
