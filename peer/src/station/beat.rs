@@ -114,18 +114,16 @@ fn keep<O: Outlet>(
             }
             Waking::Image(number, waiting) => {
                 let captured_at = waiting.captured_at;
-                // What an image breaks is thrown away whole.
-                let seen = catch_unwind(AssertUnwindSafe(|| {
+                let seen = look(&mut keeper, &fresh, |keeper| {
                     keeper.see(captured_at, &waiting.image, &waiting.obstacles)
-                }));
+                });
                 match &seen {
                     Ok(None) => {}
                     Ok(Some(moment)) => {
                         newest = Some((captured_at, Instant::now()));
                         outlet.fly(captured_at, &moment.velocity);
                     }
-                    Err(_) => {
-                        keeper = fresh.clone();
+                    Err(Fault) => {
                         outlet.fly(captured_at, &Vector3::zeros());
                         outlet.fault(captured_at);
                     }
@@ -144,6 +142,22 @@ fn keep<O: Outlet>(
             }
         }
     }
+}
+
+/// An image made the keeper panic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Fault;
+
+/// Looks at an image. A keeper that it breaks is thrown away whole, and a fresh one goes on.
+pub(super) fn look(
+    keeper: &mut StationKeeper,
+    fresh: &StationKeeper,
+    see: impl FnOnce(&mut StationKeeper) -> Option<StationMoment>,
+) -> Result<Option<StationMoment>, Fault> {
+    catch_unwind(AssertUnwindSafe(|| see(keeper))).map_err(|_| {
+        *keeper = fresh.clone();
+        Fault
+    })
 }
 
 impl StationWindow {

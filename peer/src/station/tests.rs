@@ -207,27 +207,31 @@ fn obstacles_that_were_told_of_are_heeded_while_they_are_new() {
     assert_eq!(left_mps(Some(stamp(10))), free);
 }
 
-/// Goal: an image that makes the loop fail stops the vehicle for that image and nothing else.
-/// Method: an image of another size than the camera's, which nobody but the drivers refuses.
+/// Goal: an image that makes the keeper panic costs that image, and nothing of what it broke is
+/// gone on with. Method: panic in the middle of a flight.
 #[test]
 fn a_fault_costs_one_image() {
-    let (station, velocities) = start();
-    let window = station.window();
-    let show = |idx: usize, image: Image| {
-        window.show(stamp(idx), image);
-        window.wait_until_answered();
-        let answers = velocities.try_iter().filter(|(now, _)| *now == stamp(idx));
-        answers.map(|(_, velocity)| velocity).collect::<Vec<_>>()
-    };
-    for idx in 0..5 {
-        show(idx, picture(2.6, 0.5, idx as u64));
+    let fresh = StationKeeper::new(&settings(), &calibration()).unwrap();
+    let mut keeper = fresh.clone();
+    for idx in 0..10 {
+        let image = picture(2.6, 0.5, idx as u64);
+        let seen = beat::look(&mut keeper, &fresh, |keeper| {
+            keeper.see(stamp(idx), &image, &[])
+        });
+        assert!(seen.unwrap().is_some());
     }
-    // Wider than the finder's rows by so much that it allocates, and then looks outside.
-    let odd = show(5, Image::filled(5000, 1, 9));
-    assert!(!odd.is_empty());
-    let after = show(6, picture(2.6, 0.5, 6));
-    assert_eq!(after.len(), 1);
-    assert!(station.finish().is_some());
+    assert!(keeper.velocity_at(stamp(9)).norm() > 0.2);
+    let broken = beat::look(&mut keeper, &fresh, |keeper| {
+        keeper.see(stamp(10), &picture(2.6, 0.5, 10), &[]);
+        panic!("as if an image had broken it")
+    });
+    assert_eq!(broken, Err(beat::Fault));
+    assert_eq!(keeper.velocity_at(stamp(10)), Vector3::zeros());
+    let image = picture(2.6, 0.5, 11);
+    let after = beat::look(&mut keeper, &fresh, |keeper| {
+        keeper.see(stamp(11), &image, &[])
+    });
+    assert!(after.unwrap().is_some());
 }
 
 /// Goal: a vehicle is not left flying by a loop that ends.
