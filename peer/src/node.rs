@@ -25,7 +25,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 use protocol::keys::Key;
 use protocol::sync::SyncEvent;
 use protocol::{ChunkCamera, VehicleId, VehicleState};
-use vslam::{Vslam, VslamSettings};
+use vslam::{FrameReport, FrontEnd, Vslam, VslamSettings};
 
 use crate::files::StampedPose;
 use crate::link::{Class, RequestId};
@@ -46,6 +46,9 @@ pub enum Event {
         captured_at: Timestamp,
         image: Image,
     },
+    /// The pose of the newest frame is out: what else it means is done now, for the own map and
+    /// for all that follows it. The next frame makes up for it if it was left out.
+    PoseOut,
     /// A position; comes before the frames that are newer than it.
     Fix(PositionFix),
     /// Somebody published this.
@@ -82,7 +85,7 @@ pub enum Effect {
         request: RequestId,
         selector: String,
     },
-    /// The frame is dealt with; its pose has been published.
+    /// The frame has a pose or a reason, and that has been published.
     Posed(Box<FramePose>),
 }
 
@@ -154,7 +157,10 @@ pub struct NodeCounters {
 pub struct Node {
     settings: NodeSettings,
     calibration: Calibration,
+    front_end: FrontEnd,
     slam: Vslam,
+    /// The newest frame, until it is mapped.
+    unmapped: Option<FrameReport>,
     role: Role,
     shelf: Shelf,
     exchange: Exchange,
@@ -204,7 +210,9 @@ impl Node {
             ..VslamSettings::default()
         };
         Self {
+            front_end: FrontEnd::new(calibration.camera.clone(), &slam_settings),
             slam: Vslam::new(calibration.camera.clone(), slam_settings),
+            unmapped: None,
             exchange: Exchange::new(settings.id.clone()),
             settings,
             calibration,
@@ -239,6 +247,7 @@ impl Node {
             Event::Frame { captured_at, image } => {
                 self.take_frame(&image, captured_at, now, &mut effects);
             }
+            Event::PoseOut => self.map_frame(now, &mut effects),
             Event::Message { key, payload } => {
                 self.take_message(&key, &payload, now, &mut effects);
             }

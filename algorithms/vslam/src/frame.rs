@@ -11,6 +11,7 @@ use crate::plane_grid::PlaneGrid;
 /// What the extractor found in one image.
 #[derive(Clone, Debug)]
 pub(crate) struct Frame {
+    /// Counts the frames that were tracked, from 0; set when it is.
     pub(crate) frame_idx: u64,
     pub(crate) captured_at: Timestamp,
     pub(crate) observations: Vec<Observation>,
@@ -18,12 +19,7 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    pub(crate) fn new(
-        optics: &Optics,
-        features: &Features,
-        frame_idx: u64,
-        captured_at: Timestamp,
-    ) -> Self {
+    pub(crate) fn new(optics: &Optics, features: &Features, captured_at: Timestamp) -> Self {
         let observations: Vec<Observation> = features
             .keypoints
             .iter()
@@ -43,7 +39,7 @@ impl Frame {
             .collect();
         let grid = PlaneGrid::new(optics, &observations);
         Self {
-            frame_idx,
+            frame_idx: 0,
             captured_at,
             observations,
             grid,

@@ -21,7 +21,8 @@ pub mod two_view;
 
 pub use map::{Keyframe, KeyframeId, MapId, MapPoint, Observation, PointId, View, VslamMap};
 pub use report::{
-    FrameRefusal, FrameReport, LostReason, StartReason, TrackingState, TrajectoryEntry,
+    FrameRefusal, FrameReport, LostReason, MappingReport, StartReason, TrackingState,
+    TrajectoryEntry,
 };
 pub use settings::VslamSettings;
-pub use slam::Vslam;
+pub use slam::{ExtractedFrame, FrontEnd, Vslam};

@@ -7,10 +7,10 @@ use nalgebra::Matrix6;
 
 use crate::{KeyframeId, MapId};
 
-/// The outcome of one frame.
+/// Where the camera was at one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameReport {
-    /// Counts the frames given to [`crate::Vslam::process`], from 0.
+    /// Counts the frames given to [`crate::Vslam::track`], from 0.
     pub frame_idx: u64,
     pub captured_at: Timestamp,
     /// The map in which the pose is given, or that a start would make.
@@ -25,8 +25,18 @@ pub struct FrameReport {
     /// Keypoints that agree with the map.
     pub inlier_count: usize,
     pub keypoint_count: usize,
-    /// The keyframe that this frame became.
+}
+
+/// What a frame did to the map after its pose was out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MappingReport {
+    pub map_id: MapId,
+    /// [`crate::VslamMap::revision`] of that map.
+    pub map_revision: u64,
+    /// The keyframe that the frame became.
     pub new_keyframe: Option<KeyframeId>,
+    /// Its pose after the local adjustment.
+    pub map_from_keyframe: Option<Transform<Map, Camera>>,
     /// Keyframes that left the window of local bundle adjustment, or have been in it for long,
     /// oldest first. None is named twice; one that is culled, or whose map is lost, may never be.
     /// From then on it moves only when `map_revision` grows or by later refinements that stay

@@ -2,38 +2,45 @@
 
 mod backfill;
 mod follow;
+mod front_end;
+mod grow_map;
 #[cfg(test)]
 mod tests;
 
+pub use front_end::{ExtractedFrame, FrontEnd};
+
 use backfill::Backfill;
 use camera::{CameraModel, Image};
-use features::{Extractor, ExtractorSettings, Features};
 use geometry::Timestamp;
+use grow_map::Unmapped;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::bundle::Workspace;
 use crate::frame::Frame;
-use crate::mapping::{Insertion, Mapper, update_neighbours};
-use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR, Optics};
+use crate::mapping::{Mapper, update_neighbours};
+use crate::optics::Optics;
 use crate::relocalise::Relocaliser;
 use crate::start::Starter;
 use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, tracked_points};
 use crate::trajectory::FrameRecord;
 use crate::{
-    FrameRefusal, FrameReport, KeyframeId, LostReason, MapId, PointId, StartReason, TrackingState,
-    TrajectoryEntry, VslamMap, VslamSettings,
+    FrameRefusal, FrameReport, KeyframeId, LostReason, MapId, MappingReport, PointId, StartReason,
+    TrackingState, TrajectoryEntry, VslamMap, VslamSettings,
 };
 
 /// Monocular simultaneous localisation and mapping.
 ///
-/// Deterministic: the same images give the same results, bit for bit.
+/// A frame takes three steps: [`FrontEnd::extract`] needs no map and may run on another thread,
+/// [`Vslam::track`] gives the pose, and [`Vslam::map_frame`] then does what the frame leaves to do
+/// for the map. A frame is tracked when the one before it is mapped.
+///
+/// Deterministic: the same images give the same results, bit for bit, wherever they are extracted.
 #[derive(Debug)]
 pub struct Vslam {
     optics: Optics,
     settings: VslamSettings,
-    extractor: Extractor,
-    features: Features,
+    front_end: FrontEnd,
     rng: ChaCha8Rng,
     workspace: Workspace,
     mode: Mode,
@@ -42,6 +49,8 @@ pub struct Vslam {
     map: VslamMap,
     /// The largest of the maps that were lost, small ones left out.
     earlier: Option<VslamMap>,
+    /// What the newest frame leaves to do for the map.
+    unmapped: Option<Unmapped>,
     /// Frames from before the map was born that are still to be found in it.
     backfill: Backfill,
     trajectory: Vec<FrameRecord>,
@@ -62,7 +71,6 @@ enum Mode {
 struct Outcome {
     state: TrackingState,
     tracked: Option<Tracked>,
-    insertion: Option<Insertion>,
 }
 
 impl Outcome {
@@ -70,23 +78,15 @@ impl Outcome {
         Self {
             state,
             tracked: None,
-            insertion: None,
         }
     }
 }
 
 impl Vslam {
     pub fn new(camera: CameraModel, settings: VslamSettings) -> Self {
-        let extractor = Extractor::new(ExtractorSettings {
-            feature_count: settings.feature_count_for(&camera),
-            level_count: LEVEL_COUNT,
-            scale_factor: LEVEL_FACTOR,
-            ..ExtractorSettings::default()
-        });
         Self {
-            optics: Optics::new(camera, settings.keypoint_sigma_px),
-            extractor,
-            features: Features::default(),
+            optics: Optics::new(camera.clone(), settings.keypoint_sigma_px),
+            front_end: FrontEnd::new(camera, &settings),
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
             workspace: Workspace::default(),
             mode: Mode::Starting(Starter::default()),
@@ -94,6 +94,7 @@ impl Vslam {
             relocaliser: Relocaliser::default(),
             map: VslamMap::new(MapId(0), KeyframeId(0), PointId(0)),
             earlier: None,
+            unmapped: None,
             backfill: Backfill::default(),
             trajectory: Vec::new(),
             newest_at: None,
@@ -102,16 +103,32 @@ impl Vslam {
         }
     }
 
-    /// Takes the next frame.
-    pub fn process(&mut self, image: &Image, captured_at: Timestamp) -> FrameReport {
-        let frame_idx = self.trajectory.len() as u64;
-        if let Some(refusal) = self.refusal(image, captured_at) {
-            let outcome = Outcome::without_pose(self.refused(refusal));
-            return self.report(captured_at, outcome, 0);
+    /// Takes the next frame through all steps at once.
+    pub fn process(
+        &mut self,
+        image: &Image,
+        captured_at: Timestamp,
+    ) -> (FrameReport, MappingReport) {
+        let extracted = self.front_end.extract(image, captured_at);
+        let report = self.track(extracted);
+        (report, self.map_frame())
+    }
+
+    /// Finds the pose of the next frame.
+    pub fn track(&mut self, extracted: ExtractedFrame) -> FrameReport {
+        if self.unmapped.is_some() {
+            self.map_frame();
         }
+        let captured_at = extracted.captured_at;
+        let mut frame = match self.admit(extracted) {
+            Ok(frame) => frame,
+            Err(refusal) => {
+                let outcome = Outcome::without_pose(self.refused(refusal));
+                return self.report(captured_at, outcome, 0);
+            }
+        };
         self.newest_at = Some(captured_at);
-        self.extractor.extract(image, &mut self.features);
-        let frame = Frame::new(&self.optics, &self.features, frame_idx, captured_at);
+        frame.frame_idx = self.trajectory.len() as u64;
         let keypoint_count = frame.observations.len();
         let outcome = if matches!(self.mode, Mode::Starting(_)) {
             self.start(frame)
@@ -119,6 +136,11 @@ impl Vslam {
             self.follow(frame)
         };
         self.report(captured_at, outcome, keypoint_count)
+    }
+
+    /// Another front end for the same camera, for a thread of its own.
+    pub fn front_end(&self) -> FrontEnd {
+        FrontEnd::new(self.optics.camera.clone(), &self.settings)
     }
 
     pub fn camera(&self) -> &CameraModel {
@@ -154,13 +176,10 @@ impl Vslam {
             .collect()
     }
 
-    fn refusal(&self, image: &Image, captured_at: Timestamp) -> Option<FrameRefusal> {
-        let got = (image.width(), image.height());
-        let expected = (self.optics.camera.width(), self.optics.camera.height());
-        if got != expected {
-            return Some(FrameRefusal::ImageSize { got, expected });
-        }
-        (captured_at <= self.newest_at?).then_some(FrameRefusal::OutOfOrder)
+    fn admit(&self, extracted: ExtractedFrame) -> Result<Frame, FrameRefusal> {
+        let frame = extracted.content?;
+        let is_newer = self.newest_at.is_none_or(|at| extracted.captured_at > at);
+        is_newer.then_some(frame).ok_or(FrameRefusal::OutOfOrder)
     }
 
     fn refused(&self, refusal: FrameRefusal) -> TrackingState {
@@ -230,13 +249,10 @@ impl Vslam {
                 last_keyframe_at: captured_at,
             },
         };
+        self.unmapped = Some(Unmapped::Started(keyframe));
         Outcome {
             state: TrackingState::Tracking,
             tracked: Some(tracked),
-            insertion: Some(Insertion {
-                keyframe,
-                settled: Vec::new(),
-            }),
         }
     }
 
@@ -269,13 +285,6 @@ impl Vslam {
             pose_covariance: tracked.as_ref().and_then(|tracked| tracked.covariance),
             inlier_count: tracked.as_ref().map_or(0, |tracked| tracked.inlier_count),
             keypoint_count,
-            new_keyframe: outcome
-                .insertion
-                .as_ref()
-                .map(|insertion| insertion.keyframe),
-            settled: outcome
-                .insertion
-                .map_or_else(Vec::new, |insertion| insertion.settled),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use geometry::{Map, Timestamp};
 use serde::Serialize;
-use vslam::{MapId, TrackingState, Vslam, VslamMap, VslamSettings};
+use vslam::{FrontEnd, MapId, TrackingState, Vslam, VslamMap, VslamSettings};
 
 use super::output::{self, Progress};
 use super::{Exit, UsageError};
@@ -128,6 +128,7 @@ impl Pace {
 
 /// The machine, fed by a camera, and what is counted on the way.
 struct Drive {
+    front_end: FrontEnd,
     vslam: Vslam,
     pace: Option<Pace>,
     processing: Vec<Duration>,
@@ -143,6 +144,7 @@ struct Drive {
 impl Drive {
     fn new(vslam: Vslam, pace: Option<Pace>) -> Self {
         Self {
+            front_end: vslam.front_end(),
             vslam,
             pace,
             processing: Vec::new(),
@@ -185,8 +187,10 @@ impl Drive {
             std::thread::sleep(due.saturating_duration_since(now));
         }
         let started = Instant::now();
-        let report = self.vslam.process(&frame.image, frame.captured_at);
+        let extracted = self.front_end.extract(&frame.image, frame.captured_at);
+        let report = self.vslam.track(extracted);
         self.processing.push(started.elapsed());
+        self.vslam.map_frame();
         self.tracked_live += usize::from(report.map_from_camera.is_some());
         self.lost += usize::from(matches!(report.state, TrackingState::Lost { .. }));
         if report.map_from_camera.is_none() {

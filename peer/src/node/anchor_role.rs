@@ -8,7 +8,7 @@ use anchor::{
 };
 use geometry::{Enu, Map, Matrix7, Similarity, Timestamp};
 use protocol::{Epoch, MapId, VehicleState};
-use vslam::{FrameReport, KeyframeId, VslamMap};
+use vslam::{FrameReport, KeyframeId, MappingReport, VslamMap};
 
 use super::PositionSource;
 use super::outlet::Outlet;
@@ -50,32 +50,42 @@ impl AnchorRole {
         self.drive(VecDeque::from([AnchorEvent::Fix(fix)]), map, outlet);
     }
 
-    /// Tells the anchor what a frame did to the own map, and carries out what it wants.
-    pub fn take_frame(&mut self, report: &FrameReport, map: &VslamMap, outlet: &mut Outlet<'_>) {
-        let mut events = VecDeque::new();
-        if self.own_map.is_some_and(|known| known != report.map_id) {
+    /// Poses are in this map from now on; another one than before begins an epoch.
+    pub fn enter_map(&mut self, map_id: vslam::MapId, map: &VslamMap, outlet: &mut Outlet<'_>) {
+        if self.own_map.is_some_and(|known| known != map_id) {
             let epoch_random = epoch_random(self.epoch_seed, self.epoch_count);
             self.epoch_count += 1;
-            events.push_back(AnchorEvent::MapRestarted { epoch_random });
+            let restarted = AnchorEvent::MapRestarted { epoch_random };
+            self.drive(VecDeque::from([restarted]), map, outlet);
         }
-        self.own_map = Some(report.map_id);
-        let new_keyframe = report.new_keyframe.and_then(|id| map.keyframe(id));
+        self.own_map = Some(map_id);
+    }
+
+    /// Tells the anchor what a frame did to the own map, and carries out what it wants.
+    pub fn follow_map(
+        &mut self,
+        (report, mapped): (&FrameReport, &MappingReport),
+        map: &VslamMap,
+        outlet: &mut Outlet<'_>,
+    ) {
+        let mut events = VecDeque::new();
+        let new_keyframe = mapped.new_keyframe.and_then(|id| map.keyframe(id));
         if let Some(keyframe) = new_keyframe {
             let pose = KeyframePose::from(keyframe);
             events.push_back(AnchorEvent::KeyframeInserted(pose));
         }
-        if new_keyframe.is_some() || self.map_revision != report.map_revision {
-            self.map_revision = report.map_revision;
+        if new_keyframe.is_some() || self.map_revision != mapped.map_revision {
+            self.map_revision = mapped.map_revision;
             events.push_back(AnchorEvent::KeyframesMoved(keyframe_poses(map)));
         }
-        if let Some(map_from_camera) = report.map_from_camera {
+        if let Some(map_from_camera) = mapped.map_from_keyframe.or(report.map_from_camera) {
             events.push_back(AnchorEvent::Frame(FrameInput {
                 captured_at: report.captured_at,
                 map_from_camera,
                 up_in_camera: None,
             }));
         }
-        events.extend(report.settled.iter().filter_map(|id| settled(map, *id)));
+        events.extend(mapped.settled.iter().filter_map(|id| settled(map, *id)));
         events.push_back(AnchorEvent::Tick);
         self.drive(events, map, outlet);
     }

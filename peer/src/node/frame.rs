@@ -1,4 +1,4 @@
-//! Frame in, pose out.
+//! Frame in, pose out; then what the frame means for the own map.
 
 use std::sync::Arc;
 
@@ -27,10 +27,12 @@ impl Node {
         effects: &mut Vec<Effect>,
     ) {
         self.exchange.tell(SyncEvent::Tick, now, effects);
-        let report = self.slam.process(image, captured_at);
+        self.map_frame(now, effects);
+        let extracted = self.front_end.extract(image, captured_at);
+        let report = self.slam.track(extracted);
         let tied = match &mut self.role {
             Role::Peer(role) => {
-                role.take_frame(&report, self.slam.map());
+                role.enter_map(report.map_id);
                 tie_to_anchors(role, &report, now)
             }
             Role::Anchor(role) => {
@@ -41,7 +43,7 @@ impl Node {
                     effects,
                     now,
                 };
-                role.take_frame(&report, self.slam.map(), &mut outlet);
+                role.enter_map(report.map_id, self.slam.map(), &mut outlet);
                 role.tie(&report, now)
             }
         };
@@ -77,6 +79,28 @@ impl Node {
             map_from_camera: report.map_from_camera,
             map_id: report.map_id,
         })));
+        self.unmapped = Some(report);
+    }
+
+    /// Does what the newest frame leaves to do, unless that is done.
+    pub(super) fn map_frame(&mut self, now: Timestamp, effects: &mut Vec<Effect>) {
+        let Some(report) = self.unmapped.take() else {
+            return;
+        };
+        let mapped = self.slam.map_frame();
+        match &mut self.role {
+            Role::Peer(role) => role.follow_map(&mapped, self.slam.map()),
+            Role::Anchor(role) => {
+                let mut outlet = Outlet {
+                    shelf: &mut self.shelf,
+                    exchange: &mut self.exchange,
+                    counters: &mut self.counters,
+                    effects,
+                    now,
+                };
+                role.follow_map((&report, &mapped), self.slam.map(), &mut outlet);
+            }
+        }
     }
 
     fn publish_pose(

@@ -12,7 +12,7 @@ use registration::{
     AnchorIdx, ChunkIdx, Estimate, KeyframeIdx, KeyframeObservation, Landmark, Localizer,
     LocalizerSettings, ObservedFeature, ObservedPoint,
 };
-use vslam::{FrameReport, Keyframe, KeyframeId, VslamMap};
+use vslam::{Keyframe, KeyframeId, MappingReport, VslamMap};
 
 use super::places::{Place, Places};
 
@@ -112,22 +112,25 @@ impl PeerRole {
         );
     }
 
-    /// Follows the own map, and registers a new keyframe; whether the estimate jumped.
-    pub fn take_frame(&mut self, report: &FrameReport, map: &VslamMap) -> bool {
-        if self.own_map.is_some_and(|known| known != report.map_id) {
+    /// Poses are in this map from now on.
+    pub fn enter_map(&mut self, map_id: vslam::MapId) {
+        if self.own_map.is_some_and(|known| known != map_id) {
             self.localizer.forget_map();
             self.last_verdict = None;
         }
-        self.own_map = Some(report.map_id);
-        let Some(keyframe) = report.new_keyframe.and_then(|id| map.keyframe(id)) else {
-            return false;
+        self.own_map = Some(map_id);
+    }
+
+    /// Follows the own map, and registers a new keyframe.
+    pub fn follow_map(&mut self, mapped: &MappingReport, map: &VslamMap) {
+        let Some(keyframe) = mapped.new_keyframe.and_then(|id| map.keyframe(id)) else {
+            return;
         };
         let poses = map.keyframes();
         let poses = poses.map(|known| (keyframe_idx(known.id()), known.map_from_camera()));
         self.localizer.keyframes_moved(poses);
         let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));
         self.last_verdict = Some(alignment.verdict);
-        alignment.jumped
     }
 
     pub fn estimate(&self, now: Timestamp) -> Option<Estimate> {

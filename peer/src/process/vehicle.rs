@@ -117,6 +117,7 @@ impl Vehicle {
                 self.tally
                     .frame_ms
                     .push(began.elapsed().as_secs_f32() * 1e3);
+                self.take(Event::PoseOut, now);
             }
             Input::Unreadable {
                 captured_at,

@@ -1,11 +1,10 @@
 //! Frames while there is a map: tracked, found again, or lost.
 
+use super::grow_map::Unmapped;
 use super::{Backfill, Mode, Outcome, Vslam};
 use crate::frame::Frame;
 use crate::start::Starter;
-use crate::tracking::{
-    KeyframeClock, Motion, Tracked, TrackedFrame, track, tracked_points, wants_keyframe,
-};
+use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, track, tracked_points};
 use crate::{LostReason, MapId, TrackingState, VslamMap};
 
 /// After so many frames without a pose the last motion says nothing any more.
@@ -49,48 +48,12 @@ impl Vslam {
         }
     }
 
-    pub(super) fn accept(&mut self, frame: Frame, mut tracked: Tracked) -> Outcome {
-        let Mode::Following { motion, clock } = &mut self.mode else {
-            unreachable!("called only while following");
-        };
-        let captured_at = frame.captured_at;
-        let mut points = tracked_points(&frame.observations);
-        let mut insertion = None;
-        if wants_keyframe(&self.map, clock, &frame, &tracked) {
-            let pose = (tracked.camera_from_map, tracked.reference);
-            let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
-            let keyframe = self
-                .map
-                .keyframe(inserted.keyframe)
-                .expect("the newest keyframe is never culled");
-            points = tracked_points(keyframe.observations());
-            tracked.camera_from_map = *keyframe.camera_from_map();
-            tracked.reference = inserted.keyframe;
-            clock.last_keyframe_at = captured_at;
-            insertion = Some(inserted);
-        } else {
-            self.backfill.step(
-                (&self.optics, &mut self.map),
-                &mut self.trajectory,
-                &mut self.rng,
-            );
-        }
-        let place = self
-            .map
-            .place(tracked.reference, &tracked.camera_from_map)
-            .expect("the reference is in the map");
-        motion.advance(
-            &self.map,
-            TrackedFrame {
-                captured_at,
-                place,
-                points,
-            },
-        );
+    /// Takes a pose that was found; what it means for the map waits until the pose is out.
+    pub(super) fn accept(&mut self, frame: Frame, tracked: Tracked) -> Outcome {
+        self.unmapped = Some(Unmapped::Tracked(Box::new((frame, tracked.clone()))));
         Outcome {
             state: TrackingState::Tracking,
             tracked: Some(tracked),
-            insertion,
         }
     }
 

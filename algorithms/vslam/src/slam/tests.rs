@@ -8,7 +8,8 @@ use nalgebra::Vector3;
 
 use self::world::{Pose, World, camera};
 use crate::{
-    FrameRefusal, FrameReport, LostReason, StartReason, TrackingState, Vslam, VslamSettings,
+    FrameRefusal, FrameReport, LostReason, MappingReport, StartReason, TrackingState, Vslam,
+    VslamSettings,
 };
 
 /// Frames per second of the made-up camera.
@@ -37,25 +38,28 @@ fn pose(frame: usize) -> Pose {
 }
 
 /// Forty frames of a walk, ten blank ones, and a return to the middle of the walk.
-fn walk_blackout_return(slam: &mut Vslam) -> Vec<FrameReport> {
+fn walk_blackout_return(slam: &mut Vslam) -> (Vec<FrameReport>, Vec<MappingReport>) {
+    let images = walk_images();
+    let processed = images.iter().enumerate();
+    processed
+        .map(|(frame, image)| slam.process(image, stamp(frame)))
+        .unzip()
+}
+
+fn walk_images() -> Vec<Image> {
     let world = World::new(7);
-    let blank = Image::filled(world::WIDTH, world::HEIGHT, 90);
-    let mut reports = Vec::new();
-    for frame in 0..60 {
-        let image = match frame {
-            0..40 => world.render(&pose(frame)),
-            40..50 => blank.clone(),
-            _ => world.render(&pose(70 - frame)),
-        };
-        reports.push(slam.process(&image, stamp(frame)));
-    }
-    reports
+    let image = |frame| match frame {
+        0..40 => world.render(&pose(frame)),
+        40..50 => Image::filled(world::WIDTH, world::HEIGHT, 90),
+        _ => world.render(&pose(70 - frame)),
+    };
+    (0..60).map(image).collect()
 }
 
 #[test]
 fn starts_tracks_loses_and_finds_itself_again() {
     let mut slam = machine();
-    let reports = walk_blackout_return(&mut slam);
+    let (reports, mapped) = walk_blackout_return(&mut slam);
     let tracking = |range: std::ops::Range<usize>| {
         let frames = &reports[range];
         frames
@@ -72,7 +76,7 @@ fn starts_tracks_loses_and_finds_itself_again() {
                 reason: LostReason::FewKeypoints
             }
     );
-    let keyframes: Vec<_> = reports.iter().filter_map(|one| one.new_keyframe).collect();
+    let keyframes: Vec<_> = mapped.iter().filter_map(|one| one.new_keyframe).collect();
     assert!(keyframes.len() >= 3);
     assert!(keyframes.is_sorted());
     // The pose of a report is what the caller may rely on: it comes with its uncertainty.
@@ -128,7 +132,10 @@ fn a_camera_that_comes_back_after_long_returns_to_its_map() {
         kept
     );
     let back: Vec<_> = (140..150)
-        .map(|frame| slam.process(&world.render(&pose(180 - frame)), stamp(frame)))
+        .map(|frame| {
+            slam.process(&world.render(&pose(180 - frame)), stamp(frame))
+                .0
+        })
         .collect();
     let last = back.last().unwrap();
     assert_eq!((last.state, last.map_id), (TrackingState::Tracking, kept.0));
@@ -142,6 +149,60 @@ fn two_runs_agree_bit_for_bit() {
         walk_blackout_return(&mut second)
     );
     assert_eq!(first.trajectory(), second.trajectory());
+}
+
+#[test]
+fn extraction_ahead_changes_nothing() {
+    // Each image is extracted by another front end before the last frame is mapped.
+    let images = walk_images();
+    let (mut inline, mut ahead) = (machine(), machine());
+    let mut front_end = ahead.front_end();
+    let mut extracted = Some(front_end.extract(&images[0], stamp(0)));
+    for (frame, image) in images.iter().enumerate() {
+        let report = ahead.track(extracted.take().unwrap());
+        let next = images.get(frame + 1);
+        extracted = next.map(|image| front_end.extract(image, stamp(frame + 1)));
+        let mapped = ahead.map_frame();
+        assert_eq!((report, mapped), inline.process(image, stamp(frame)));
+    }
+    assert_eq!(inline.trajectory(), ahead.trajectory());
+}
+
+#[test]
+fn the_pose_is_out_before_the_map_grows() {
+    let mut slam = machine();
+    let mut front_end = slam.front_end();
+    let mut insertion_count = 0;
+    for (frame, image) in walk_images().iter().enumerate() {
+        let before = slam.map().keyframe_count();
+        slam.track(front_end.extract(image, stamp(frame)));
+        if before > 0 {
+            assert_eq!(slam.map().keyframe_count(), before, "frame {frame}");
+        }
+        let mapped = slam.map_frame();
+        let pose = mapped.new_keyframe.map(|id| {
+            insertion_count += usize::from(before > 0);
+            slam.map().keyframe(id).unwrap().map_from_camera()
+        });
+        assert_eq!(mapped.map_from_keyframe, pose);
+        // There is nothing left to do.
+        assert_eq!(slam.map_frame().new_keyframe, None);
+    }
+    assert!(insertion_count > 0);
+}
+
+#[test]
+fn mapping_that_was_left_out_is_made_up_for() {
+    let images = walk_images();
+    let (mut patient, mut hasty) = (machine(), machine());
+    let mut front_end = hasty.front_end();
+    for (frame, image) in images.iter().enumerate() {
+        let (expected, _) = patient.process(image, stamp(frame));
+        assert_eq!(
+            hasty.track(front_end.extract(image, stamp(frame))),
+            expected
+        );
+    }
 }
 
 #[test]
@@ -179,8 +240,8 @@ fn the_map_is_consistent() {
 #[test]
 fn settled_keyframes_are_named_once() {
     let mut slam = machine();
-    let reports = walk_blackout_return(&mut slam);
-    let settled: Vec<_> = reports.iter().flat_map(|one| one.settled.clone()).collect();
+    let (_, mapped) = walk_blackout_return(&mut slam);
+    let settled: Vec<_> = mapped.iter().flat_map(|one| one.settled.clone()).collect();
     let mut unique = settled.clone();
     unique.sort_unstable();
     unique.dedup();
@@ -197,7 +258,7 @@ fn turning_on_the_spot_is_no_start() {
             yaw_rad: 0.01 * frame as f64,
             pitch_rad: 0.0,
         };
-        let report = slam.process(&world.render(&turned), stamp(frame));
+        let (report, _) = slam.process(&world.render(&turned), stamp(frame));
         assert!(
             matches!(report.state, TrackingState::Starting { .. }),
             "frame {frame}"
@@ -217,7 +278,7 @@ fn images_without_content_are_no_start() {
                 *pixel = (noise >> 24) as u8;
             }
         }
-        let report = slam.process(&image, stamp(frame));
+        let (report, _) = slam.process(&image, stamp(frame));
         assert!(matches!(report.state, TrackingState::Starting { .. }));
         assert_eq!(report.map_from_camera, None);
     }
@@ -230,7 +291,7 @@ fn wrong_sizes_and_stamps_are_refused_and_change_nothing() {
     let mut slam = machine();
     slam.process(&world.render(&pose(0)), stamp(5));
     let refused =
-        |slam: &mut Vslam, image: &Image, frame: usize| slam.process(image, stamp(frame)).state;
+        |slam: &mut Vslam, image: &Image, frame: usize| slam.process(image, stamp(frame)).0.state;
     for (width, height) in [(1, 1), (world::WIDTH, world::HEIGHT - 1), (640, 480)] {
         let state = refused(&mut slam, &Image::filled(width, height, 0), 6);
         let TrackingState::Starting {
@@ -255,7 +316,10 @@ fn wrong_sizes_and_stamps_are_refused_and_change_nothing() {
     );
     // The frame is still the first reference: the walk that follows starts from it.
     let reports: Vec<_> = (1..30)
-        .map(|frame| slam.process(&world.render(&pose(frame)), stamp(10 + frame)))
+        .map(|frame| {
+            slam.process(&world.render(&pose(frame)), stamp(10 + frame))
+                .0
+        })
         .collect();
     assert!(reports.last().unwrap().state == TrackingState::Tracking);
     assert_eq!(slam.trajectory().len(), 34);

@@ -1,0 +1,88 @@
+//! What a tracked frame does to the map, once its pose is out.
+
+use super::{Mode, Vslam};
+use crate::frame::Frame;
+use crate::mapping::Insertion;
+use crate::tracking::{Tracked, TrackedFrame, tracked_points, wants_keyframe};
+use crate::{KeyframeId, MappingReport};
+
+/// What the newest frame leaves to do when its pose is known.
+#[derive(Debug)]
+pub(super) enum Unmapped {
+    /// The map began with it; it is a keyframe already.
+    Started(KeyframeId),
+    Tracked(Box<(Frame, Tracked)>),
+}
+
+impl Vslam {
+    /// Does what the newest frame leaves to do for the map: to insert it as a keyframe with new
+    /// points and a local adjustment, or to find one of the frames from before the map was born.
+    ///
+    /// Call it when the pose of [`Vslam::track`] is out. `track` makes up for a call that was left
+    /// out, and then nobody learns what mapping came to.
+    pub fn map_frame(&mut self) -> MappingReport {
+        let done = match self.unmapped.take() {
+            None => None,
+            Some(Unmapped::Started(keyframe)) => Some(Insertion {
+                keyframe,
+                settled: Vec::new(),
+            }),
+            Some(Unmapped::Tracked(newest)) => self.absorb(*newest),
+        };
+        let keyframe = done
+            .as_ref()
+            .and_then(|one| self.map.keyframe(one.keyframe));
+        MappingReport {
+            map_id: self.map.id(),
+            map_revision: self.map.revision(),
+            new_keyframe: keyframe.map(crate::Keyframe::id),
+            map_from_keyframe: keyframe.map(crate::Keyframe::map_from_camera),
+            settled: done.map_or_else(Vec::new, |one| one.settled),
+        }
+    }
+
+    fn absorb(&mut self, (frame, mut tracked): (Frame, Tracked)) -> Option<Insertion> {
+        let Mode::Following { motion, clock } = &mut self.mode else {
+            unreachable!("a frame is tracked in a map");
+        };
+        let captured_at = frame.captured_at;
+        let frame_idx = frame.frame_idx as usize;
+        let mut points = tracked_points(&frame.observations);
+        let mut insertion = None;
+        if wants_keyframe(&self.map, clock, &frame, &tracked) {
+            let pose = (tracked.camera_from_map, tracked.reference);
+            let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
+            let keyframe = self
+                .map
+                .keyframe(inserted.keyframe)
+                .expect("the newest keyframe is never culled");
+            points = tracked_points(keyframe.observations());
+            tracked.camera_from_map = *keyframe.camera_from_map();
+            tracked.reference = inserted.keyframe;
+            clock.last_keyframe_at = captured_at;
+            insertion = Some(inserted);
+        } else {
+            self.backfill.step(
+                (&self.optics, &mut self.map),
+                &mut self.trajectory,
+                &mut self.rng,
+            );
+        }
+        let place = self
+            .map
+            .place(tracked.reference, &tracked.camera_from_map)
+            .expect("the reference is in the map");
+        if let Some(record) = self.trajectory.get_mut(frame_idx) {
+            record.place = Some(place);
+        }
+        motion.advance(
+            &self.map,
+            TrackedFrame {
+                captured_at,
+                place,
+                points,
+            },
+        );
+        insertion
+    }
+}
