@@ -1,19 +1,20 @@
 //! `starling slam`: monocular vSLAM over a recording.
 
+mod intake;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use geometry::{Map, Timestamp};
+use geometry::Map;
 use serde::Serialize;
-use vslam::{FrontEnd, MapId, TrackingState, Vslam, VslamMap, VslamSettings};
+use vslam::{MapId, TrackingState, Vslam, VslamMap, VslamSettings};
 
 use super::output::{self, Progress};
 use super::{Exit, UsageError};
-use crate::dataset::{
-    Camera, CameraEvent, Dataset, DatasetArgument, DatasetCamera, FrameRange, UnreadableImage,
-};
+use crate::dataset::{Camera, Dataset, DatasetArgument, DatasetCamera, FrameRange};
 use crate::files::{self, PointCloud, StampedPose};
+use intake::{Arrival, Intake, IntakeCounts, Pace};
 
 #[derive(clap::Args)]
 pub struct SlamArguments {
@@ -32,8 +33,8 @@ pub struct SlamArguments {
     /// Pace by the stamps and drop late frames.
     #[arg(long)]
     pub realtime: bool,
-    /// The estimator uses one thread; with more, the next images are decoded meanwhile. The
-    /// result does not depend on it.
+    /// With more than one, the next image is decoded and searched for keypoints while the map
+    /// grows by the last one. The result does not depend on it.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: u16,
     /// Print one JSON object. Without a single tracked frame `tracked` is 0, the reason is on
@@ -52,6 +53,8 @@ struct SlamSummary {
     keyframes: usize,
     points: usize,
     lost: usize,
+    /// From a decoded image to its pose; at real time from when the image is due, so that what it
+    /// waits for mapping counts.
     ms_per_frame_p50: Option<f64>,
     ms_per_frame_p99: Option<f64>,
     peak_rss_bytes: Option<u64>,
@@ -81,8 +84,12 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
         DatasetCamera::inline(dataset)
     };
     let progress = Progress::start("slam", frame_count as u64);
-    let mut drive = Drive::new(vslam, arguments.realtime.then(Pace::default));
-    drive.run_through(camera, &progress);
+    let plan = Plan {
+        thread_count: arguments.threads,
+        pace: arguments.realtime.then(Pace::default),
+    };
+    let mut drive = Drive::new(vslam);
+    drive.run_through(camera, plan, &progress);
     progress.finish();
 
     let trajectory = largest_trajectory(&drive.vslam);
@@ -113,89 +120,56 @@ fn chosen_frames(arguments: &SlamArguments) -> Result<DatasetArgument, UsageErro
     Ok(dataset)
 }
 
-/// When frames are due if the recording plays at its own speed.
+/// How a recording is run through.
 #[derive(Default)]
-struct Pace {
-    first: Option<(Instant, Timestamp)>,
-}
-
-impl Pace {
-    fn due(&mut self, captured_at: Timestamp) -> Instant {
-        let (start, first_captured_at) = *self.first.get_or_insert((Instant::now(), captured_at));
-        start + captured_at.since(first_captured_at)
-    }
+struct Plan {
+    thread_count: u16,
+    /// At real time.
+    pace: Option<Pace>,
 }
 
 /// The machine, fed by a camera, and what is counted on the way.
 struct Drive {
-    front_end: FrontEnd,
     vslam: Vslam,
-    pace: Option<Pace>,
+    /// From each decoded image to its pose.
     processing: Vec<Duration>,
     tracked_live: usize,
     lost: usize,
-    dropped: usize,
-    unreadable_count: usize,
-    first_unreadable: Option<UnreadableImage>,
+    intake: IntakeCounts,
     /// Of the newest frame without a pose.
     untracked: Option<TrackingState>,
 }
 
 impl Drive {
-    fn new(vslam: Vslam, pace: Option<Pace>) -> Self {
+    fn new(vslam: Vslam) -> Self {
         Self {
-            front_end: vslam.front_end(),
             vslam,
-            pace,
             processing: Vec::new(),
             tracked_live: 0,
             lost: 0,
-            dropped: 0,
-            unreadable_count: 0,
-            first_unreadable: None,
+            intake: IntakeCounts::default(),
             untracked: None,
         }
     }
 
-    fn run_through(&mut self, mut camera: impl Camera, progress: &Progress) {
-        // One event is looked ahead: at real time a frame is late once its successor is due.
-        let mut next = camera.next_event();
-        while let Some(event) = next {
-            next = camera.next_event();
-            let next_captured_at = next.as_ref().map(CameraEvent::captured_at);
-            self.take(event, next_captured_at);
-            progress.advance(1);
-        }
+    fn run_through(&mut self, camera: impl Camera, plan: Plan, progress: &Progress) {
+        let intake = Intake::new(camera, self.vslam.front_end(), plan.pace, progress);
+        self.intake = if plan.thread_count > 1 {
+            intake.run_ahead(|arrival| self.take(arrival))
+        } else {
+            intake.run_inline(|arrival| self.take(arrival))
+        };
     }
 
-    fn take(&mut self, event: CameraEvent, next_captured_at: Option<Timestamp>) {
-        let frame = match event {
-            CameraEvent::Frame(frame) => frame,
-            CameraEvent::Unreadable { error, .. } => {
-                self.unreadable_count += 1;
-                self.first_unreadable.get_or_insert(error);
-                return;
-            }
-        };
-        if let Some(pace) = &mut self.pace {
-            let due = pace.due(frame.captured_at);
-            let now = Instant::now();
-            if next_captured_at.is_some_and(|next| pace.due(next) <= now) {
-                self.dropped += 1;
-                return;
-            }
-            std::thread::sleep(due.saturating_duration_since(now));
-        }
-        let started = Instant::now();
-        let extracted = self.front_end.extract(&frame.image, frame.captured_at);
-        let report = self.vslam.track(extracted);
-        self.processing.push(started.elapsed());
-        self.vslam.map_frame();
+    fn take(&mut self, arrival: Arrival) {
+        let report = self.vslam.track(arrival.frame);
+        self.processing.push(arrival.came_at.elapsed());
         self.tracked_live += usize::from(report.map_from_camera.is_some());
         self.lost += usize::from(matches!(report.state, TrackingState::Lost { .. }));
         if report.map_from_camera.is_none() {
             self.untracked = Some(report.state);
         }
+        self.vslam.map_frame();
     }
 
     fn summarise(&self, frame_count: usize, tracked: usize) -> SlamSummary {
@@ -206,7 +180,7 @@ impl Drive {
             frames: frame_count,
             tracked,
             tracked_live: self.tracked_live,
-            dropped: self.dropped,
+            dropped: self.intake.dropped,
             keyframes: map.keyframe_count(),
             points: map.point_count(),
             lost: self.lost,
@@ -219,10 +193,10 @@ impl Drive {
     /// Tells what was lost on the way. Without a single pose there is no trajectory, and the
     /// command has failed.
     fn exit(&self, frame_count: usize, tracked: usize) -> Exit {
-        if let Some(first) = &self.first_unreadable {
+        if let Some(first) = &self.intake.first_unreadable {
             output::diagnose(&format!(
                 "warning: skipped {} of {frame_count} images; the first: {first}",
-                self.unreadable_count
+                self.intake.unreadable_count
             ));
         }
         if tracked == 0 {
@@ -235,7 +209,7 @@ impl Drive {
             ));
             return Exit::Refused;
         }
-        if self.first_unreadable.is_some() {
+        if self.intake.first_unreadable.is_some() {
             Exit::DoneWithLoss
         } else {
             Exit::Done

@@ -1,4 +1,9 @@
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Instant;
+
 use super::*;
+use crate::dataset::{CameraEvent, Frame};
 
 #[test]
 fn percentiles_are_nearest_ranks() {
@@ -11,7 +16,7 @@ fn percentiles_are_nearest_ranks() {
 
 #[test]
 fn summary_has_the_names_of_the_contract() {
-    let drive = Drive::new(vslam_of(32, 24), None);
+    let drive = Drive::new(vslam_of(32, 24));
     let json = serde_json::to_value(drive.summarise(0, 0)).unwrap();
     let mut names: Vec<&str> = json
         .as_object()
@@ -87,9 +92,13 @@ fn a_damaged_image_is_loss_and_not_failure() {
     grey_recording(folder.path(), 5);
     std::fs::write(folder.path().join("2.png"), "no image").unwrap();
     let dataset = Dataset::open(&arguments(folder.path()).dataset).unwrap();
-    let mut drive = Drive::new(vslam_of(32, 24), None);
-    drive.run_through(DatasetCamera::inline(dataset), &Progress::start("slam", 5));
-    assert_eq!((drive.unreadable_count, drive.processing.len()), (1, 4));
+    let mut drive = Drive::new(vslam_of(32, 24));
+    let progress = Progress::start("slam", 5);
+    drive.run_through(DatasetCamera::inline(dataset), Plan::default(), &progress);
+    assert_eq!(
+        (drive.intake.unreadable_count, drive.processing.len()),
+        (1, 4)
+    );
     assert_eq!(drive.exit(5, 4), Exit::DoneWithLoss);
     assert_eq!(drive.exit(5, 0), Exit::Refused);
     let reason = drive.untracked.unwrap().to_string();
@@ -135,11 +144,79 @@ fn at_real_time_late_frames_are_dropped_and_early_ones_waited_for() {
     // The second frame is over before it can be looked at, the third is 200 ms away.
     let list = "0 0.png\n0.000000001 1.png\n0.2 2.png\n";
     std::fs::write(folder.path().join("rgb.txt"), list).unwrap();
-    let dataset = Dataset::open(&arguments(folder.path()).dataset).unwrap();
-    let mut drive = Drive::new(vslam_of(32, 24), Some(Pace::default()));
-    let started = Instant::now();
-    let progress = Progress::start("slam", 3);
-    drive.run_through(DatasetCamera::inline(dataset), &progress);
-    assert!(started.elapsed() >= Duration::from_millis(200));
-    assert_eq!((drive.dropped, drive.processing.len()), (1, 2));
+    for thread_count in [1, 2] {
+        let dataset = Dataset::open(&arguments(folder.path()).dataset).unwrap();
+        let mut drive = Drive::new(vslam_of(32, 24));
+        let started = Instant::now();
+        let progress = Progress::start("slam", 3);
+        let plan = Plan {
+            thread_count,
+            pace: Some(Pace::default()),
+        };
+        drive.run_through(DatasetCamera::inline(dataset), plan, &progress);
+        assert!(started.elapsed() >= Duration::from_millis(200));
+        assert_eq!((drive.intake.dropped, drive.processing.len()), (1, 2));
+    }
+}
+
+#[test]
+fn two_threads_give_the_trajectory_of_one() {
+    let rendered = rendered_frames(70);
+    let trajectories = [1, 2].map(|thread_count| {
+        let vslam = Vslam::new(
+            rendered.calibration.camera.clone(),
+            VslamSettings::default(),
+        );
+        let mut drive = Drive::new(vslam);
+        let plan = Plan {
+            thread_count,
+            pace: None,
+        };
+        drive.run_through(rendered.clone(), plan, &Progress::start("slam", 70));
+        assert_eq!(drive.processing.len(), 70);
+        drive.vslam.trajectory()
+    });
+    let tracked = trajectories[0]
+        .iter()
+        .filter(|one| one.map_from_camera.is_some());
+    assert!(tracked.count() > 40);
+    assert_eq!(trajectories[0], trajectories[1]);
+}
+
+/// Images of a drone's camera in the rendered lab.
+#[derive(Clone)]
+struct Rendered {
+    calibration: camera::Calibration,
+    frames: VecDeque<Frame>,
+}
+
+impl Camera for Rendered {
+    fn calibration(&self) -> &camera::Calibration {
+        &self.calibration
+    }
+
+    fn next_event(&mut self) -> Option<CameraEvent> {
+        self.frames.pop_front().map(CameraEvent::Frame)
+    }
+}
+
+fn rendered_frames(frame_count: usize) -> Rendered {
+    const DRONE_IDX: usize = 1;
+    let scenario = sim::Scenario::lab(1);
+    let drone = &scenario.vehicles[DRONE_IDX];
+    let scene = Arc::new(scenario.paint());
+    let mut renderer = sim::Renderer::new(scene, &drone.description.camera, drone.sensor);
+    let frames = (0..frame_count).map(|frame_idx| Frame {
+        frame_idx,
+        captured_at: scenario.timestamp(scenario.frame_time_s(frame_idx)),
+        image: renderer.render(&scenario.shot(DRONE_IDX, frame_idx)),
+    });
+    Rendered {
+        frames: frames.collect(),
+        calibration: camera::Calibration {
+            camera: drone.description.camera.clone(),
+            body_from_camera: drone.description.body_from_camera,
+            rate_hz: None,
+        },
+    }
 }
