@@ -6,6 +6,7 @@ mod frame;
 mod map;
 mod mapping;
 mod optics;
+mod places;
 mod plane_grid;
 pub mod pose_graph;
 mod relocalise;

@@ -1,13 +1,13 @@
 //! Where a camera is in a map, without knowing where it was.
 
-use features::Descriptor;
-use features::matching::{MatchSettings, match_mutual, nearest};
+use features::matching::{MatchSettings, match_mutual};
 use geometry::absolute_pose::{PointObservation, RansacSettings, ransac_absolute_pose};
 use geometry::{Camera, Map, Transform};
 use rand_chacha::ChaCha8Rng;
 
 use crate::frame::Frame;
 use crate::optics::Optics;
+use crate::places::{LookAlike, Places, rank};
 use crate::tracking::{LocalMap, Tracked, match_local_map, refine, track_local_map};
 use crate::{KeyframeId, PointId, VslamMap};
 
@@ -19,13 +19,6 @@ const INLIERS_MIN: usize = 12;
 const RECOGNISED_INLIERS_MIN: usize = 40;
 /// Keyframes tried per frame because they look alike.
 const RANKED_CANDIDATES: usize = 4;
-/// Keypoints of a frame that vote for keyframes.
-const SAMPLED_KEYPOINTS: usize = 200;
-/// Points of the map that they are compared with.
-const SEARCHED_POINTS_MAX: usize = 8000;
-/// Bits in which a keypoint and a point may differ to count as alike.
-const LOOK_ALIKE_DISTANCE_MAX: u32 = 50;
-
 /// The pose of a frame that looks at much the same as a keyframe, by descriptors alone. Names the
 /// points that agree in `frame`.
 pub(crate) fn locate_near(
@@ -95,12 +88,12 @@ impl Relocaliser {
     /// Looks for the frame in the whole map.
     pub(crate) fn locate(
         &mut self,
-        optics: &Optics,
+        (optics, places): (&Optics, &Places),
         map: &mut VslamMap,
         frame: &mut Frame,
         rng: &mut ChaCha8Rng,
     ) -> Option<Tracked> {
-        for candidate in self.candidates(map, frame) {
+        for candidate in self.candidates(places, map, frame) {
             let Some(pose) = locate_near(map, candidate, frame, rng) else {
                 continue;
             };
@@ -111,16 +104,15 @@ impl Relocaliser {
         None
     }
 
-    /// The keyframes that see most of what the frame's descriptors look like, the newest ones, and
-    /// one after the other of all.
-    fn candidates(&mut self, map: &VslamMap, frame: &Frame) -> Vec<KeyframeId> {
+    /// The keyframes that look most like the frame, the newest one, and one after the other of all.
+    fn candidates(&mut self, places: &Places, map: &VslamMap, frame: &Frame) -> Vec<KeyframeId> {
         let all: Vec<KeyframeId> = map.keyframes().map(crate::Keyframe::id).collect();
         if all.is_empty() {
             return all;
         }
         self.next = self.next.wrapping_add(1);
-        let ranked = map.seen_by(self.look_alikes(map, frame).into_iter());
-        let mut candidates: Vec<KeyframeId> = ranked
+        let alike = look_alikes(places, frame);
+        let mut candidates: Vec<KeyframeId> = rank(map, &alike, |_| true)
             .iter()
             .take(RANKED_CANDIDATES)
             .map(|one| one.keyframe)
@@ -134,28 +126,10 @@ impl Relocaliser {
         }
         candidates
     }
+}
 
-    /// The most similar point for each of a sample of the frame's descriptors. Of a large map a
-    /// different part is searched each time.
-    fn look_alikes(&self, map: &VslamMap, frame: &Frame) -> Vec<PointId> {
-        let point_stride = map.point_count().div_ceil(SEARCHED_POINTS_MAX).max(1);
-        let searched: Vec<(PointId, Descriptor)> = map
-            .points()
-            .skip(self.next as usize % point_stride)
-            .step_by(point_stride)
-            .map(|point| (point.id(), *point.descriptor()))
-            .collect();
-        let descriptors: Vec<Descriptor> = searched.iter().map(|(_, one)| *one).collect();
-        let stride = frame.observations.len().div_ceil(SAMPLED_KEYPOINTS).max(1);
-        frame
-            .observations
-            .iter()
-            .step_by(stride)
-            .filter_map(|one| nearest(&one.descriptor, &descriptors))
-            .filter(|found| found.distance <= LOOK_ALIKE_DISTANCE_MAX)
-            .map(|found| searched[found.train_idx as usize].0)
-            .collect()
-    }
+fn look_alikes(places: &Places, frame: &Frame) -> Vec<LookAlike> {
+    places.look_alikes(frame.observations.iter().map(|one| &one.descriptor))
 }
 
 /// Grows a pose from a few descriptors to all that should be in view.

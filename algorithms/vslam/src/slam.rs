@@ -20,6 +20,7 @@ use crate::bundle::Workspace;
 use crate::frame::Frame;
 use crate::mapping::{Mapper, update_neighbours};
 use crate::optics::Optics;
+use crate::places::Places;
 use crate::relocalise::Relocaliser;
 use crate::start::Starter;
 use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, tracked_points};
@@ -46,6 +47,8 @@ pub struct Vslam {
     mode: Mode,
     mapper: Mapper,
     relocaliser: Relocaliser,
+    /// Finds keyframes of all maps by their looks.
+    places: Places,
     map: VslamMap,
     /// The largest of the maps that were lost, small ones left out.
     earlier: Option<VslamMap>,
@@ -92,6 +95,7 @@ impl Vslam {
             mode: Mode::Starting(Starter::default()),
             mapper: Mapper::default(),
             relocaliser: Relocaliser::default(),
+            places: Places::default(),
             map: VslamMap::new(MapId(0), KeyframeId(0), PointId(0)),
             earlier: None,
             unmapped: None,
@@ -215,6 +219,7 @@ impl Vslam {
     /// Follows the camera in a map that has just been made; the last keyframe is the frame.
     fn begin(&mut self, captured_at: Timestamp) -> Outcome {
         self.mapper.take_over(&self.map);
+        self.places.insert_all(&self.map);
         let last = self
             .map
             .keyframes()

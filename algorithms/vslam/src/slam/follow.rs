@@ -39,7 +39,12 @@ impl Vslam {
         let result = result.or_else(|reason| {
             frame.forget_points();
             self.relocaliser
-                .locate(&self.optics, &mut self.map, &mut frame, &mut self.rng)
+                .locate(
+                    (&self.optics, &self.places),
+                    &mut self.map,
+                    &mut frame,
+                    &mut self.rng,
+                )
                 .ok_or(reason)
         });
         match result {
@@ -92,9 +97,9 @@ impl Vslam {
         if !larger || !frame.frame_idx.is_multiple_of(RETURN_INTERVAL_FRAMES) {
             return None;
         }
-        let found = self
-            .relocaliser
-            .locate(&self.optics, earlier, frame, &mut self.rng);
+        let found =
+            self.relocaliser
+                .locate((&self.optics, &self.places), earlier, frame, &mut self.rng);
         let Some(tracked) = found else {
             frame.forget_points();
             return None;

@@ -56,6 +56,7 @@ impl Vslam {
                 .map
                 .keyframe(inserted.keyframe)
                 .expect("the newest keyframe is never culled");
+            self.places.insert(keyframe);
             points = tracked_points(keyframe.observations());
             tracked.camera_from_map = *keyframe.camera_from_map();
             tracked.reference = inserted.keyframe;
