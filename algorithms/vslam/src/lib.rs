@@ -3,6 +3,7 @@
 mod block_cholesky;
 pub mod bundle;
 mod frame;
+mod loops;
 mod map;
 mod mapping;
 mod optics;

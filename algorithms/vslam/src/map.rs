@@ -1,6 +1,7 @@
 //! The sparse map: keyframes, points, and who sees what.
 
 mod arena;
+mod correct;
 mod covisibility;
 mod edit;
 mod ids;
@@ -15,6 +16,7 @@ pub use keyframe::{Keyframe, Observation};
 pub use point::{MapPoint, View};
 
 use arena::Arena;
+pub(crate) use correct::Moves;
 pub(crate) use edit::NewPoint;
 use place::CulledKeyframe;
 pub(crate) use place::Place;

@@ -8,7 +8,8 @@ mod grow;
 
 use geometry::{Camera, Map, Transform};
 
-pub(crate) use adjust::adjust_all;
+pub(crate) use adjust::{adjust_all, adjust_local};
+pub(crate) use fuse::fuse;
 
 use crate::bundle::Workspace;
 use crate::frame::Frame;

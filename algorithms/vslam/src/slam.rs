@@ -4,6 +4,7 @@ mod backfill;
 mod follow;
 mod front_end;
 mod grow_map;
+mod revisit;
 #[cfg(test)]
 mod tests;
 
@@ -18,6 +19,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::bundle::Workspace;
 use crate::frame::Frame;
+use crate::loops::Loops;
 use crate::mapping::{Mapper, update_neighbours};
 use crate::optics::Optics;
 use crate::places::Places;
@@ -49,6 +51,7 @@ pub struct Vslam {
     relocaliser: Relocaliser,
     /// Finds keyframes of all maps by their looks.
     places: Places,
+    loops: Loops,
     map: VslamMap,
     /// The largest of the maps that were lost, small ones left out.
     earlier: Option<VslamMap>,
@@ -96,6 +99,7 @@ impl Vslam {
             mapper: Mapper::default(),
             relocaliser: Relocaliser::default(),
             places: Places::default(),
+            loops: Loops::default(),
             map: VslamMap::new(MapId(0), KeyframeId(0), PointId(0)),
             earlier: None,
             unmapped: None,

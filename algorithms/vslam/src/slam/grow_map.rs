@@ -1,5 +1,6 @@
 //! What a tracked frame does to the map, once its pose is out.
 
+use super::revisit::revisit;
 use super::{Mode, Vslam};
 use crate::frame::Frame;
 use crate::mapping::Insertion;
@@ -52,11 +53,16 @@ impl Vslam {
         if wants_keyframe(&self.map, clock, &frame, &tracked) {
             let pose = (tracked.camera_from_map, tracked.reference);
             let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
+            revisit(
+                (&self.optics, &mut self.places, &mut self.loops),
+                &mut self.map,
+                inserted.keyframe,
+                &mut self.rng,
+            );
             let keyframe = self
                 .map
                 .keyframe(inserted.keyframe)
                 .expect("the newest keyframe is never culled");
-            self.places.insert(keyframe);
             points = tracked_points(keyframe.observations());
             tracked.camera_from_map = *keyframe.camera_from_map();
             tracked.reference = inserted.keyframe;

@@ -1,0 +1,147 @@
+//! Loops and joins on maps of a made-up corridor, whose drift is known.
+
+mod world;
+
+use geometry::{Camera, Map, Similarity, Tangent7, Transform, so3, umeyama};
+use nalgebra::{Vector2, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use self::world::{Drift, World, optics};
+use super::align::{Side, Sighting};
+use super::*;
+use crate::MapId;
+
+const NO_DRIFT: Drift = Drift {
+    log_scale: 0.0,
+    turn_rad: 0.0,
+};
+
+/// Observations and points name each other, and nothing that does not exist.
+fn assert_consistent(map: &VslamMap) {
+    for point in map.points() {
+        assert!(point.view_count() >= 2);
+        assert!(point.views().is_sorted());
+        for view in point.views() {
+            let keyframe = map.keyframe(view.keyframe).unwrap();
+            let observation = &keyframe.observations()[view.observation_idx as usize];
+            assert_eq!(observation.point, Some(point.id()));
+        }
+    }
+    for keyframe in map.keyframes() {
+        for point in keyframe.points() {
+            let point = map.point(point).unwrap();
+            assert!(point.observation_idx(keyframe.id()).is_some());
+        }
+    }
+}
+
+/// How much longer than the truth the map is around these keyframes.
+fn scale(world: &World, map: &VslamMap, frames: std::ops::Range<u64>) -> f64 {
+    let pairs = map
+        .keyframes()
+        .filter(|one| frames.contains(&one.frame_idx()))
+        .map(|one| {
+            let truth = world.pose(one.frame_idx() as usize);
+            (one.centre_in_map(), *truth.translation(), 1.0)
+        });
+    umeyama::<Map, Map>(pairs.collect::<Vec<_>>().into_iter(), true)
+        .unwrap()
+        .scale()
+}
+
+/// Closes what can be closed, keyframe by keyframe from `first_idx` on; how often it did.
+fn revisit(map: &mut VslamMap, first_idx: usize) -> usize {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let (mut loops, mut places) = (Loops::default(), Places::default());
+    let ids: Vec<KeyframeId> = map.keyframes().map(Keyframe::id).collect();
+    let mut closed_count = 0;
+    for (idx, id) in ids.into_iter().enumerate() {
+        if idx >= first_idx {
+            let closed = loops.close_at((&optics(), &places), map, id, &mut rng);
+            closed_count += usize::from(closed.is_some());
+        }
+        if let Some(keyframe) = map.keyframe(id) {
+            places.insert(keyframe);
+        }
+    }
+    closed_count
+}
+
+#[test]
+fn a_closed_loop_corrects_the_drift_of_scale() {
+    let world = World::new(8.0, 1);
+    let around = world.keyframes_around();
+    let drift = Drift {
+        log_scale: 0.2 / around as f64,
+        turn_rad: 0.1 / around as f64,
+    };
+    let mut map = world.walk(0..around + 8, drift, (MapId(0), 0));
+    let end = around as u64 - 10..around as u64 + 10;
+    let before = scale(&world, &map, end.clone()) / scale(&world, &map, 0..20);
+    assert!(before > 1.15, "the map drifts without the loop: {before}");
+
+    let point_count = map.point_count();
+    assert_eq!(revisit(&mut map, around + 5), 1);
+    let after = scale(&world, &map, end) / scale(&world, &map, 0..20);
+    // Noise of half a pixel leaves each length of a window of keyframes uncertain by 0.3 %.
+    assert!((after - 1.0).abs() < 0.01, "{after}");
+    assert!(map.revision() > 0);
+    assert!(map.point_count() < point_count, "points were joined");
+    assert_consistent(&map);
+    let first = map.keyframes().next().unwrap();
+    let far = first.centre_in_map() - map.keyframes().next_back().unwrap().centre_in_map();
+    let truth = world.pose(0).translation() - world.pose(around + 7).translation();
+    assert!((far.norm() - truth.norm()).abs() < 0.1 * truth.norm());
+}
+
+#[test]
+fn what_only_looks_the_same_is_no_loop() {
+    // A nearly straight corridor whose walls repeat every ten metres.
+    let world = World::new(160.0, 100);
+    let mut map = world.walk(0..80, NO_DRIFT, (MapId(0), 0));
+    let before = map.clone();
+    assert_eq!(revisit(&mut map, 0), 0);
+    assert_eq!(map.point_count(), before.point_count());
+    // And a ring of which each quarter is the same.
+    let world = World::new(8.0, 4);
+    let around = world.keyframes_around();
+    let mut map = world.walk(0..around / 2, NO_DRIFT, (MapId(0), 0));
+    assert_eq!(revisit(&mut map, 0), 0);
+}
+
+#[test]
+fn derivatives_of_sightings_match_differences() {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let mut random = |limit: f64| rng.random_range(-limit..limit);
+    for side in [Side::Target, Side::Source] {
+        for _ in 0..10 {
+            let tangent = Tangent7::from_fn(|_, _| random(0.3));
+            let similarity = Similarity::<Map, Map>::exp(&tangent);
+            let omega = Vector3::new(random(0.2), random(0.2), random(0.2));
+            let camera_from_map: Transform<Camera, Map> =
+                Transform::new(so3::exp(&omega), Vector3::new(0.1, 0.2, 0.3));
+            let sighting = Sighting {
+                point: Vector3::new(random(1.0), random(1.0), 5.0),
+                camera_from_map,
+                position: Vector2::new(0.1, -0.1),
+                sigma: 0.01,
+                side,
+            };
+            let (_, jacobian) = sighting.residual(&similarity).unwrap();
+            for axis in 0..7 {
+                let value = |width: f64| {
+                    let mut delta = Tangent7::zeros();
+                    delta[axis] = width;
+                    sighting.residual(&similarity.perturbed(&delta)).unwrap().0
+                };
+                let numeric = (value(1e-6) - value(-1e-6)) / 2e-6;
+                let difference = (numeric - jacobian.column(axis)).norm();
+                assert!(
+                    difference < 1e-4 * (1.0 + numeric.norm()),
+                    "{side:?} {axis}"
+                );
+            }
+        }
+    }
+}
