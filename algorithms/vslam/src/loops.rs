@@ -6,6 +6,7 @@
 mod align;
 mod close;
 mod graph;
+mod join;
 mod recognise;
 #[cfg(test)]
 mod tests;

@@ -6,6 +6,7 @@ mod covisibility;
 mod edit;
 mod ids;
 mod keyframe;
+mod merge;
 mod place;
 mod point;
 

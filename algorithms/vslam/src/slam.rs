@@ -53,8 +53,10 @@ pub struct Vslam {
     places: Places,
     loops: Loops,
     map: VslamMap,
-    /// The largest of the maps that were lost, small ones left out.
-    earlier: Option<VslamMap>,
+    /// The maps that were lost, small ones left out.
+    earlier: Vec<VslamMap>,
+    /// How often the camera was seen in one of them since the map began.
+    seen_earlier_count: u32,
     /// What the newest frame leaves to do for the map.
     unmapped: Option<Unmapped>,
     /// Frames from before the map was born that are still to be found in it.
@@ -101,7 +103,8 @@ impl Vslam {
             places: Places::default(),
             loops: Loops::default(),
             map: VslamMap::new(MapId(0), KeyframeId(0), PointId(0)),
-            earlier: None,
+            earlier: Vec::new(),
+            seen_earlier_count: 0,
             unmapped: None,
             backfill: Backfill::default(),
             trajectory: Vec::new(),

@@ -110,6 +110,108 @@ fn what_only_looks_the_same_is_no_loop() {
     assert_eq!(revisit(&mut map, 0), 0);
 }
 
+/// Two walks over overlapping steps in maps of their own; the second is turned, moved and larger.
+fn two_maps(
+    world: &World,
+    first: std::ops::Range<usize>,
+    second: std::ops::Range<usize>,
+) -> (VslamMap, VslamMap) {
+    let first = world.walk(first, NO_DRIFT, (MapId(0), 0));
+    let mut second = world.walk(second, NO_DRIFT, (MapId(1), 1000));
+    let rotation = so3::exp(&Vector3::new(0.3, -1.0, 0.2));
+    second.transform(&Similarity::new(
+        1.7,
+        rotation,
+        Vector3::new(3.0, 1.0, -2.0),
+    ));
+    (first, second)
+}
+
+/// Whether all keyframes stand to each other as in truth, up to one similarity.
+fn assert_true_to(world: &World, map: &VslamMap) {
+    let pairs: Vec<_> = map
+        .keyframes()
+        .map(|one| {
+            let truth = world.pose(one.frame_idx() as usize);
+            (*truth.translation(), one.centre_in_map(), 1.0)
+        })
+        .collect();
+    let truth_from_map = umeyama::<Map, Map>(pairs.iter().copied(), true).unwrap();
+    for (truth, estimate, _) in pairs {
+        let error = (truth - truth_from_map * estimate).norm();
+        assert!(error < 0.1, "{error} m");
+    }
+}
+
+#[test]
+fn a_map_is_joined_to_the_larger_one_whichever_is_followed() {
+    let world = World::new(8.0, 1);
+    for (first, second) in [(0..40, 28..50), (28..50, 0..40)] {
+        let (earlier, mut map) = two_maps(&world, first.clone(), second.clone());
+        let mut places = Places::default();
+        places.insert_all(&earlier);
+        let larger = if first.len() > second.len() {
+            earlier.id()
+        } else {
+            map.id()
+        };
+        let all: BTreeSet<KeyframeId> = earlier
+            .keyframes()
+            .chain(map.keyframes())
+            .map(Keyframe::id)
+            .collect();
+        // The keyframe that shows the place is the one in the middle of what both have seen.
+        let shown = map
+            .keyframes()
+            .find(|one| one.frame_idx() == 34)
+            .unwrap()
+            .id();
+        let mut earlier = vec![earlier];
+        let joined = Loops::default()
+            .join_at(
+                (&optics(), &places),
+                &mut map,
+                &mut earlier,
+                shown,
+                &mut ChaCha8Rng::seed_from_u64(1),
+            )
+            .unwrap();
+        assert_eq!((joined.into, map.id()), (larger, larger));
+        assert!(earlier.is_empty());
+        let stretch = if larger == MapId(0) { 1.0 / 1.7 } else { 1.0 };
+        assert!((joined.stretch / stretch - 1.0).abs() < 0.01, "{joined:?}");
+        let kept: BTreeSet<KeyframeId> = map.keyframes().map(Keyframe::id).collect();
+        assert_eq!(kept, all);
+        assert!(map.revision() > 0);
+        assert_consistent(&map);
+        assert_true_to(&world, &map);
+        // They hang together: what both saw has become one.
+        let neighbours: Vec<_> = map
+            .covisible(shown)
+            .into_iter()
+            .map(|one| one.keyframe)
+            .collect();
+        assert!(
+            neighbours.iter().any(|id| id.0 < 1000) && neighbours.iter().any(|id| id.0 >= 1000)
+        );
+    }
+}
+
+#[test]
+fn maps_of_different_places_stay_apart() {
+    let world = World::new(8.0, 1);
+    let (earlier, mut map) = two_maps(&world, 0..20, 60..80);
+    let mut places = Places::default();
+    places.insert_all(&earlier);
+    let mut earlier = vec![earlier];
+    for id in map.keyframes().map(Keyframe::id).collect::<Vec<_>>() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let index = (&optics(), &places);
+        let joined = Loops::default().join_at(index, &mut map, &mut earlier, id, &mut rng);
+        assert_eq!(joined, None);
+    }
+}
+
 #[test]
 fn derivatives_of_sightings_match_differences() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);

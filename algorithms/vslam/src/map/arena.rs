@@ -46,6 +46,20 @@ impl<T> Arena<T> {
         id
     }
 
+    /// Puts a value where there is none, also before the first id.
+    pub(crate) fn insert(&mut self, id: u32, value: T) {
+        if id < self.first_id {
+            let missing = (self.first_id - id) as usize;
+            self.slots.splice(0..0, (0..missing).map(|_| None));
+            self.first_id = id;
+        }
+        self.skip_to(id + 1);
+        let slot = &mut self.slots[(id - self.first_id) as usize];
+        assert!(slot.is_none(), "ids are unique over all maps");
+        *slot = Some(Box::new(value));
+        self.len += 1;
+    }
+
     pub(crate) fn get(&self, id: u32) -> Option<&T> {
         self.slots.get(self.slot(id)?)?.as_deref()
     }
@@ -65,6 +79,11 @@ impl<T> Arena<T> {
     /// All values, oldest first.
     pub(crate) fn iter(&self) -> impl DoubleEndedIterator<Item = &T> {
         self.slots.iter().filter_map(|slot| slot.as_deref())
+    }
+
+    /// All values, oldest first.
+    pub(crate) fn into_values(self) -> impl Iterator<Item = T> {
+        self.slots.into_iter().flatten().map(|value| *value)
     }
 
     fn slot(&self, id: u32) -> Option<usize> {

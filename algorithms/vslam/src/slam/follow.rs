@@ -15,8 +15,14 @@ const SMALL_MAP_KEYFRAMES: usize = 6;
 const SMALL_MAP_PATIENCE: u32 = 10;
 /// How long a map is looked for before a new one is begun beside it, seconds.
 const PATIENCE_S: f64 = 5.0;
-/// Every so many frames the camera is looked for in an earlier map.
-const RETURN_INTERVAL_FRAMES: u64 = 5;
+/// Maps that are kept beside the one that is followed.
+const EARLIER_MAX: usize = 4;
+/// Every so many frames the camera is looked for in an earlier map, while there is no map.
+const STARTING_INTERVAL_FRAMES: u64 = 2;
+/// The same while a younger map is followed.
+const FOLLOWING_INTERVAL_FRAMES: u64 = 5;
+/// How often the camera is seen in an earlier map before the younger one is left for it.
+const JOIN_PATIENCE: u32 = 6;
 
 impl Vslam {
     pub(super) fn follow(&mut self, mut frame: Frame) -> Outcome {
@@ -76,37 +82,68 @@ impl Vslam {
         Outcome::without_pose(TrackingState::Lost { reason })
     }
 
-    /// Begins a new map; the largest of the old ones is kept unless it is small.
+    /// Begins a new map; the old one is kept unless it is small.
     fn restart(&mut self) {
         let successor = self.map.successor(MapId(self.map_count));
         self.map_count += 1;
         let old = std::mem::replace(&mut self.map, successor);
-        let earlier_count = self.earlier.as_ref().map_or(0, VslamMap::keyframe_count);
-        if old.keyframe_count() >= earlier_count.max(SMALL_MAP_KEYFRAMES) {
-            self.earlier = Some(old);
-        }
+        self.keep(old);
+        self.seen_earlier_count = 0;
         self.backfill = Backfill::default();
         self.mode = Mode::Starting(Starter::default());
     }
 
-    /// Looks now and then whether the camera is back in the map that it lost; then the younger,
-    /// smaller map is given up for that.
+    /// Keeps a map that was left, so that the camera may come back to it; of too many the smallest
+    /// is dropped.
+    fn keep(&mut self, left: VslamMap) {
+        if left.keyframe_count() < SMALL_MAP_KEYFRAMES {
+            return;
+        }
+        self.earlier.push(left);
+        if self.earlier.len() > EARLIER_MAX {
+            let sizes = self
+                .earlier
+                .iter()
+                .map(VslamMap::keyframe_count)
+                .enumerate();
+            let smallest = sizes.min_by_key(|(_, size)| *size);
+            self.earlier.remove(smallest.map_or(0, |(idx, _)| idx));
+        }
+    }
+
+    /// Looks now and then whether the camera is back in a map that it lost. A younger map that is
+    /// being followed should be joined to it; only if that fails again and again it is left.
     pub(super) fn return_to_earlier(&mut self, frame: &mut Frame) -> Option<Tracked> {
-        let earlier = self.earlier.as_mut()?;
-        let larger = earlier.keyframe_count() > self.map.keyframe_count();
-        if !larger || !frame.frame_idx.is_multiple_of(RETURN_INTERVAL_FRAMES) {
+        let starting = matches!(self.mode, Mode::Starting(_));
+        let interval = if starting {
+            STARTING_INTERVAL_FRAMES
+        } else {
+            FOLLOWING_INTERVAL_FRAMES
+        };
+        if self.earlier.is_empty() || !frame.frame_idx.is_multiple_of(interval) {
             return None;
         }
-        let found =
-            self.relocaliser
-                .locate((&self.optics, &self.places), earlier, frame, &mut self.rng);
-        let Some(tracked) = found else {
+        let idx = (frame.frame_idx / interval) as usize % self.earlier.len();
+        let earlier = &mut self.earlier[idx];
+        if earlier.keyframe_count() <= self.map.keyframe_count() {
+            return None;
+        }
+        let index = (&self.optics, &self.places);
+        let found = self
+            .relocaliser
+            .locate(index, earlier, frame, &mut self.rng);
+        self.seen_earlier_count += u32::from(found.is_some());
+        let join_awaited = !starting && self.seen_earlier_count < JOIN_PATIENCE;
+        let Some(tracked) = found.filter(|_| !join_awaited) else {
             frame.forget_points();
             return None;
         };
-        earlier.reserve_ids_before(&self.map);
         let place = earlier.place(tracked.reference, &tracked.camera_from_map)?;
-        self.map = self.earlier.take()?;
+        earlier.reserve_ids_before(&self.map);
+        let earlier = self.earlier.remove(idx);
+        let left = std::mem::replace(&mut self.map, earlier);
+        self.keep(left);
+        self.seen_earlier_count = 0;
         self.backfill = Backfill::default();
         self.mapper.resume();
         self.mode = Mode::Following {

@@ -1,6 +1,6 @@
 //! What a tracked frame does to the map, once its pose is out.
 
-use super::revisit::revisit;
+use super::revisit::Revisit;
 use super::{Mode, Vslam};
 use crate::frame::Frame;
 use crate::mapping::Insertion;
@@ -53,12 +53,15 @@ impl Vslam {
         if wants_keyframe(&self.map, clock, &frame, &tracked) {
             let pose = (tracked.camera_from_map, tracked.reference);
             let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
-            revisit(
-                (&self.optics, &mut self.places, &mut self.loops),
-                &mut self.map,
-                inserted.keyframe,
-                &mut self.rng,
-            );
+            let revisit = Revisit {
+                optics: &self.optics,
+                places: &mut self.places,
+                loops: &mut self.loops,
+                earlier: &mut self.earlier,
+                trajectory: &mut self.trajectory,
+            };
+            let stretch = revisit.by(inserted.keyframe, &mut self.map, &mut self.rng);
+            motion.stretch(stretch);
             let keyframe = self
                 .map
                 .keyframe(inserted.keyframe)

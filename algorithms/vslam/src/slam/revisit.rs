@@ -5,17 +5,37 @@ use rand_chacha::ChaCha8Rng;
 use crate::loops::Loops;
 use crate::optics::Optics;
 use crate::places::Places;
+use crate::trajectory::FrameRecord;
 use crate::{KeyframeId, VslamMap};
 
-/// Closes the loop that a new keyframe ends, if it ends one.
-pub(super) fn revisit(
-    (optics, places, loops): (&Optics, &mut Places, &mut Loops),
-    map: &mut VslamMap,
-    id: KeyframeId,
-    rng: &mut ChaCha8Rng,
-) {
-    loops.close_at((optics, places), map, id, rng);
-    if let Some(keyframe) = map.keyframe(id) {
-        places.insert(keyframe);
+/// What of the machine takes part.
+pub(super) struct Revisit<'a> {
+    pub(super) optics: &'a Optics,
+    pub(super) places: &'a mut Places,
+    pub(super) loops: &'a mut Loops,
+    pub(super) earlier: &'a mut Vec<VslamMap>,
+    pub(super) trajectory: &'a mut [FrameRecord],
+}
+
+impl Revisit<'_> {
+    /// Closes the loop that a new keyframe ends, or joins the map that it comes back to; by how
+    /// much lengths around it grew.
+    pub(super) fn by(self, id: KeyframeId, map: &mut VslamMap, rng: &mut ChaCha8Rng) -> f64 {
+        let index = (self.optics, &*self.places);
+        let joined = self.loops.join_at(index, map, self.earlier, id, rng);
+        let stretch = match joined {
+            Some(joined) => {
+                let moved = self.trajectory.iter_mut();
+                for record in moved.filter(|record| record.map_id == joined.from) {
+                    record.map_id = joined.into;
+                }
+                joined.stretch
+            }
+            None => self.loops.close_at(index, map, id, rng).unwrap_or(1.0),
+        };
+        if let Some(keyframe) = map.keyframe(id) {
+            self.places.insert(keyframe);
+        }
+        stretch
     }
 }

@@ -49,6 +49,15 @@ impl Motion {
         self.missed_count = 0;
     }
 
+    /// Follows a correction of the map that made lengths around the camera grow by this factor.
+    pub(crate) fn stretch(&mut self, factor: f64) {
+        if let Some(velocity) = &mut self.velocity {
+            let motion = &velocity.later_from_earlier;
+            let way = motion.translation() * factor;
+            velocity.later_from_earlier = Transform::new(*motion.rotation(), way);
+        }
+    }
+
     /// The pose of the last frame, corrected with the map since.
     pub(crate) fn last_pose(&self, map: &VslamMap) -> Option<Transform<Camera, Map>> {
         map.pose(&self.last.place)
