@@ -16,6 +16,8 @@ use std::collections::BTreeSet;
 use geometry::{Map, Similarity};
 use rand_chacha::ChaCha8Rng;
 
+pub(crate) use join::{Joined, find_in};
+
 use crate::bundle::Workspace;
 use crate::optics::Optics;
 use crate::places::Places;

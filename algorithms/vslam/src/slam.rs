@@ -1,12 +1,14 @@
 //! The machine: frames in, poses and a map out.
 
 mod backfill;
+mod finish;
 mod follow;
 mod front_end;
 mod grow_map;
 mod revisit;
 #[cfg(test)]
 mod tests;
+mod waiting;
 
 pub use front_end::{ExtractedFrame, FrontEnd};
 
@@ -16,6 +18,7 @@ use geometry::Timestamp;
 use grow_map::Unmapped;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use waiting::Waiting;
 
 use crate::bundle::Workspace;
 use crate::frame::Frame;
@@ -61,6 +64,8 @@ pub struct Vslam {
     unmapped: Option<Unmapped>,
     /// Frames from before the map was born that are still to be found in it.
     backfill: Backfill,
+    /// Frames that were lost, or are in a smaller map.
+    waiting: Waiting,
     trajectory: Vec<FrameRecord>,
     newest_at: Option<Timestamp>,
     map_count: u32,
@@ -107,6 +112,7 @@ impl Vslam {
             seen_earlier_count: 0,
             unmapped: None,
             backfill: Backfill::default(),
+            waiting: Waiting::default(),
             trajectory: Vec::new(),
             newest_at: None,
             map_count: 1,

@@ -2,6 +2,7 @@
 
 use geometry::Timestamp;
 
+use crate::loops::Joined;
 use crate::map::Place;
 use crate::{MapId, TrajectoryEntry, VslamMap};
 
@@ -14,6 +15,13 @@ pub(crate) struct FrameRecord {
 }
 
 impl FrameRecord {
+    /// Takes note that two maps have become one.
+    pub(crate) fn follow(&mut self, joined: &Joined) {
+        if self.map_id == joined.from {
+            self.map_id = joined.into;
+        }
+    }
+
     /// The entry with the pose of now, if one of the maps still has the frame.
     pub(crate) fn entry<'a>(
         &self,

@@ -90,6 +90,7 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     };
     let mut drive = Drive::new(vslam);
     drive.run_through(camera, plan, &progress);
+    drive.vslam.finish();
     progress.finish();
 
     let trajectory = largest_trajectory(&drive.vslam);

@@ -21,7 +21,7 @@ pub(crate) struct Joined {
 
 impl Loops {
     /// Looks whether a new keyframe shows a place of an earlier map, and makes one map of the two
-    /// if so. The larger one keeps its name and its frame of reference.
+    /// if so.
     pub(crate) fn join_at(
         &mut self,
         (optics, places): (&Optics, &Places),
@@ -30,24 +30,49 @@ impl Loops {
         id: KeyframeId,
         rng: &mut ChaCha8Rng,
     ) -> Option<Joined> {
-        if earlier.is_empty() {
-            return None;
-        }
-        let keyframe = map.keyframe(id)?;
-        let descriptors = keyframe.observations.iter().map(|one| &one.descriptor);
-        let alike = places.look_alikes(descriptors);
-        let query = Query { map, keyframe };
         let (idx, found) = earlier.iter().enumerate().find_map(|(idx, target)| {
-            let found = recognise(optics, query, target, &alike, |_| true, rng)?;
+            let found = find_in((optics, places), target, (map, id), rng)?;
             Some((idx, found))
         })?;
-        let joined = unite(map, earlier.remove(idx), &found);
-        self.last_closed_at = Some(id);
-        let moved = close::companions(map, id);
-        close::join_points(optics, map, &found, &moved);
-        close::mend(optics, map, &found, &moved, &mut self.workspace);
-        Some(joined)
+        Some(self.join(optics, map, earlier.remove(idx), &found))
     }
+
+    /// Makes one map of two, of which a keyframe of the first was recognised in the other. The
+    /// larger one keeps its name and its frame of reference.
+    pub(crate) fn join(
+        &mut self,
+        optics: &Optics,
+        map: &mut VslamMap,
+        other: VslamMap,
+        found: &Recognition,
+    ) -> Joined {
+        let joined = unite(map, other, found);
+        self.last_closed_at = Some(found.keyframe);
+        let moved = close::companions(map, found.keyframe);
+        close::join_points(optics, map, found, &moved);
+        close::mend(optics, map, found, &moved, &mut self.workspace);
+        joined
+    }
+}
+
+/// Looks for a keyframe of one map in another.
+pub(crate) fn find_in(
+    (optics, places): (&Optics, &Places),
+    target: &VslamMap,
+    (map, id): (&VslamMap, KeyframeId),
+    rng: &mut ChaCha8Rng,
+) -> Option<Recognition> {
+    let keyframe = map.keyframe(id)?;
+    let descriptors = keyframe.observations.iter().map(|one| &one.descriptor);
+    let alike = places.look_alikes(descriptors);
+    recognise(
+        optics,
+        Query { map, keyframe },
+        target,
+        &alike,
+        |_| true,
+        rng,
+    )
 }
 
 /// Moves the smaller map into the larger.

@@ -35,24 +35,33 @@ impl Backfill {
         self.later = Some(start);
     }
 
-    /// Looks for the newest of the frames, going backward from the start of the map.
+    pub(super) fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    /// Gives up the frames that were not found, oldest first.
+    pub(super) fn take_frames(&mut self) -> VecDeque<Frame> {
+        std::mem::take(&mut self.frames)
+    }
+
+    /// Looks for the newest of the frames, going backward from the start of the map; returns it if
+    /// it is not found.
     pub(super) fn step(
         &mut self,
         (optics, map): (&Optics, &mut VslamMap),
         trajectory: &mut [FrameRecord],
         rng: &mut ChaCha8Rng,
-    ) {
-        let (Some(mut frame), Some(later)) = (self.frames.pop_back(), &self.later) else {
-            return;
-        };
+    ) -> Option<Frame> {
+        let (mut frame, later) = (self.frames.pop_back()?, self.later.as_ref()?);
         let Some(found) = find(optics, map, later, &mut frame, rng) else {
-            return;
+            return Some(frame);
         };
         if let Some(record) = trajectory.get_mut(frame.frame_idx as usize) {
             record.map_id = map.id();
             record.place = Some(found.place);
         }
         self.later = Some(found);
+        None
     }
 }
 

@@ -55,12 +55,21 @@ impl Vslam {
         });
         match result {
             Ok(tracked) => self.accept(frame, tracked),
-            Err(reason) => self.miss(&frame, reason),
+            Err(reason) => {
+                self.waiting.remember(&frame);
+                self.miss(&frame, reason)
+            }
         }
     }
 
     /// Takes a pose that was found; what it means for the map waits until the pose is out.
     pub(super) fn accept(&mut self, frame: Frame, tracked: Tracked) -> Outcome {
+        let size = self.map.keyframe_count();
+        let largest = self.earlier.iter().map(VslamMap::keyframe_count).max();
+        if largest.is_some_and(|largest| largest > size) {
+            // The map may never be joined to the largest; the frame may still be found there.
+            self.waiting.remember(&frame);
+        }
         self.unmapped = Some(Unmapped::Tracked(Box::new((frame, tracked.clone()))));
         Outcome {
             state: TrackingState::Tracking,
@@ -87,15 +96,18 @@ impl Vslam {
         let successor = self.map.successor(MapId(self.map_count));
         self.map_count += 1;
         let old = std::mem::replace(&mut self.map, successor);
-        self.keep(old);
-        self.seen_earlier_count = 0;
-        self.backfill = Backfill::default();
+        self.leave(old);
         self.mode = Mode::Starting(Starter::default());
     }
 
     /// Keeps a map that was left, so that the camera may come back to it; of too many the smallest
     /// is dropped.
-    fn keep(&mut self, left: VslamMap) {
+    pub(super) fn leave(&mut self, left: VslamMap) {
+        self.seen_earlier_count = 0;
+        for frame in self.backfill.take_frames() {
+            self.waiting.remember(&frame);
+        }
+        self.backfill = Backfill::default();
         if left.keyframe_count() < SMALL_MAP_KEYFRAMES {
             return;
         }
@@ -142,9 +154,7 @@ impl Vslam {
         earlier.reserve_ids_before(&self.map);
         let earlier = self.earlier.remove(idx);
         let left = std::mem::replace(&mut self.map, earlier);
-        self.keep(left);
-        self.seen_earlier_count = 0;
-        self.backfill = Backfill::default();
+        self.leave(left);
         self.mapper.resume();
         self.mode = Mode::Following {
             motion: Motion::starting_at(TrackedFrame {

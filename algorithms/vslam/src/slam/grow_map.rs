@@ -1,11 +1,12 @@
 //! What a tracked frame does to the map, once its pose is out.
 
 use super::revisit::Revisit;
+use super::waiting::Search;
 use super::{Mode, Vslam};
 use crate::frame::Frame;
 use crate::mapping::Insertion;
 use crate::tracking::{Tracked, TrackedFrame, tracked_points, wants_keyframe};
-use crate::{KeyframeId, MappingReport};
+use crate::{KeyframeId, MappingReport, VslamMap};
 
 /// What the newest frame leaves to do when its pose is known.
 #[derive(Debug)]
@@ -71,12 +72,6 @@ impl Vslam {
             tracked.reference = inserted.keyframe;
             clock.last_keyframe_at = captured_at;
             insertion = Some(inserted);
-        } else {
-            self.backfill.step(
-                (&self.optics, &mut self.map),
-                &mut self.trajectory,
-                &mut self.rng,
-            );
         }
         let place = self
             .map
@@ -93,6 +88,31 @@ impl Vslam {
                 points,
             },
         );
+        if insertion.is_none() {
+            self.look_back();
+        }
         insertion
+    }
+
+    /// Looks for one of the frames that have no pose yet.
+    fn look_back(&mut self) {
+        let mut search = Search {
+            optics: &self.optics,
+            places: &self.places,
+            relocaliser: &mut self.relocaliser,
+            rng: &mut self.rng,
+        };
+        let (map, trajectory) = (&mut self.map, &mut self.trajectory);
+        let is_smaller = |earlier: &VslamMap| earlier.keyframe_count() > map.keyframe_count();
+        if !self.backfill.is_empty() {
+            let missed = self
+                .backfill
+                .step((search.optics, map), trajectory, search.rng);
+            if let Some(frame) = missed {
+                self.waiting.remember(&frame);
+            }
+        } else if !self.earlier.iter().any(is_smaller) {
+            self.waiting.step(&mut search, map, trajectory);
+        }
     }
 }

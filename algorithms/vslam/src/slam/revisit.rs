@@ -25,9 +25,8 @@ impl Revisit<'_> {
         let joined = self.loops.join_at(index, map, self.earlier, id, rng);
         let stretch = match joined {
             Some(joined) => {
-                let moved = self.trajectory.iter_mut();
-                for record in moved.filter(|record| record.map_id == joined.from) {
-                    record.map_id = joined.into;
+                for record in self.trajectory {
+                    record.follow(&joined);
                 }
                 joined.stretch
             }

@@ -141,6 +141,66 @@ fn a_camera_that_comes_back_after_long_returns_to_its_map() {
     assert_eq!((last.state, last.map_id), (TrackingState::Tracking, kept.0));
 }
 
+/// The frames at which the trajectory of the largest map has a pose, and the worst error of its
+/// positions after alignment to the truth.
+fn found(slam: &Vslam, truth: impl Fn(usize) -> Vector3<f64>) -> (Vec<usize>, f64) {
+    let largest = slam.largest_map().id();
+    let posed: Vec<(usize, Vector3<f64>)> = slam
+        .trajectory()
+        .iter()
+        .filter(|entry| entry.map_id == largest)
+        .filter_map(|entry| {
+            Some((
+                entry.frame_idx as usize,
+                *entry.map_from_camera?.translation(),
+            ))
+        })
+        .collect();
+    let pairs = posed
+        .iter()
+        .map(|(frame, place)| (truth(*frame), *place, 1.0));
+    let truth_from_map = umeyama::<Map, Map>(pairs, true).unwrap();
+    let errors = posed
+        .iter()
+        .map(|(frame, place)| (truth(*frame) - truth_from_map * *place).norm());
+    let worst = errors.fold(0.0, f64::max);
+    (posed.into_iter().map(|(frame, _)| frame).collect(), worst)
+}
+
+#[test]
+fn maps_before_and_after_a_long_blackout_become_one() {
+    // The second map begins where the first has not been; then the camera goes back.
+    let world = World::new(7);
+    let blank = Image::filled(world::WIDTH, world::HEIGHT, 90);
+    let step = |frame: usize| match frame {
+        0..50 => frame,
+        50..130 => 50,
+        // From where the first map ends on, and back into it.
+        130..175 => 62 + (frame - 130) / 2,
+        _ => 84_usize.saturating_sub(frame - 175),
+    };
+    let mut slam = machine();
+    let mut ids = Vec::new();
+    for frame in 0..230 {
+        let image = match frame {
+            50..130 => blank.clone(),
+            _ => world.render(&pose(step(frame))),
+        };
+        ids.push(slam.process(&image, stamp(frame)).1.map_id);
+    }
+    slam.finish();
+    assert!(ids[0] == ids[229], "the larger, earlier map keeps its name");
+    assert!(
+        ids.iter().any(|id| *id != ids[0]),
+        "another map was begun: {ids:?}"
+    );
+    let (frames, worst) = found(&slam, |frame| pose(step(frame)).position);
+    let seen = (0..230).filter(|frame| !(50..130).contains(frame)).count();
+    assert!(frames.len() >= seen - 8, "{} of {seen}", frames.len());
+    assert!(frames.iter().all(|frame| !(50..130).contains(frame)));
+    assert!(worst < 0.05, "{worst} m");
+}
+
 #[test]
 fn two_runs_agree_bit_for_bit() {
     let (mut first, mut second) = (machine(), machine());
