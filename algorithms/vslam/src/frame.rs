@@ -70,6 +70,10 @@ impl Viewpoint {
         }
     }
 
+    pub(crate) fn rotation(&self) -> &Matrix3<f64> {
+        &self.rotation
+    }
+
     /// The point in this camera; cheaper than by the quaternion.
     pub(crate) fn transform(&self, point_in_map: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point_in_map + self.camera_from_map.translation()

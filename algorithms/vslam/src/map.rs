@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 
 pub use ids::{KeyframeId, MapId, PointId};
 pub use keyframe::{Keyframe, Observation};
+pub(crate) use point::ExpectedRange;
 pub use point::{MapPoint, View};
 
 use arena::Arena;

@@ -3,6 +3,7 @@
 mod adjust;
 mod cull_keyframes;
 mod cull_points;
+mod directions;
 mod fuse;
 mod grow;
 
@@ -72,6 +73,8 @@ impl Mapper {
         update_neighbours(map, id);
         fuse::fuse_with_neighbours(optics, map, id);
         refresh_points_of(map, id);
+        let directions = directions::add_directions(optics, map, id);
+        self.recent.extend(directions);
         update_neighbours(map, id);
         let window = adjust::adjust_local(map, id, &mut self.workspace);
         cull_keyframes::cull(map, id);

@@ -9,7 +9,7 @@ use crate::frame::Frame;
 use crate::optics::Optics;
 use crate::places::{LookAlike, Places, rank};
 use crate::tracking::{LocalMap, Tracked, match_local_map, refine, track_local_map};
-use crate::{KeyframeId, PointId, VslamMap};
+use crate::{KeyframeId, MapPoint, PointId, VslamMap};
 
 /// Neighbours of a keyframe whose points are searched along with its own.
 const NEIGHBOURS: usize = 3;
@@ -59,6 +59,8 @@ pub(crate) fn locate_near(
 
 /// Observations of the frame and the points that their descriptors fit best.
 fn match_points(map: &VslamMap, points: &[PointId], frame: &Frame) -> Vec<(usize, PointId)> {
+    let ranged = |point: &&PointId| map.point(**point).is_some_and(MapPoint::has_range);
+    let points: Vec<PointId> = points.iter().filter(ranged).copied().collect();
     let wanted: Vec<_> = points
         .iter()
         .filter_map(|&point| Some(*map.point(point)?.descriptor()))

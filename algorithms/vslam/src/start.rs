@@ -191,6 +191,7 @@ fn build(
             position_in_map: point * unit,
             covariance_in_map: Matrix3::identity(),
             parallax_rad: 0.0,
+            expected_range: None,
         };
         let view = |keyframe, idx: usize| View {
             keyframe,

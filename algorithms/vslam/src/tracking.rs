@@ -26,6 +26,10 @@ pub(crate) const INLIERS_MIN: usize = 25;
 /// Fewer keypoints that agree with the last frame's points are no start for the local map.
 const FIRST_INLIERS_MIN: usize = 12;
 
+/// A pose by few keypoints is a coincidence if the frame misses most of what it should show there.
+const FOUND_SHARE_MIN: f64 = 0.2;
+const CERTAIN_INLIERS: usize = 100;
+
 /// A frame whose pose is known, and what the next one needs of it.
 #[derive(Clone, Debug)]
 pub(crate) struct TrackedFrame {
@@ -116,8 +120,17 @@ pub(crate) fn track_local_map(
     first: &Transform<Camera, Map>,
 ) -> Result<Tracked, LostReason> {
     let local = LocalMap::around(map, frame).ok_or(LostReason::FewInliers)?;
-    match_local_map(optics, map, &local, first, frame);
+    let expected_count = match_local_map(optics, map, &local, first, frame);
     let fit = refine(map, first, frame, INLIERS_MIN).ok_or(LostReason::FewInliers)?;
+    let seen = frame
+        .observations
+        .iter()
+        .filter_map(|one| map.point(one.point?));
+    let seen_count = seen.filter(|point| point.has_range()).count();
+    let doubtful = (seen_count as f64) < FOUND_SHARE_MIN * expected_count as f64;
+    if doubtful && fit.inlier_count < CERTAIN_INLIERS {
+        return Err(LostReason::FewInliers);
+    }
     for point in frame.observations.iter().filter_map(|one| one.point) {
         if let Some(point) = map.point_mut(point) {
             point.found_count += 1;

@@ -166,14 +166,18 @@ fn solve_linear(sightings: &[Sighting], weight: impl Fn(&Sighting) -> f64) -> Op
     Some(hessian.cholesky()?.solve(&right))
 }
 
-struct NormalEquations {
-    hessian: Matrix3<f64>,
-    gradient: Vector3<f64>,
-    worst: f64,
+pub(crate) struct NormalEquations {
+    pub(crate) hessian: Matrix3<f64>,
+    pub(crate) gradient: Vector3<f64>,
+    /// The worst squared, whitened residual of a view.
+    pub(crate) worst: f64,
 }
 
 /// `None` if the point is not in front of every camera.
-fn accumulate(sightings: &[Sighting], point_in_map: &Vector3<f64>) -> Option<NormalEquations> {
+pub(crate) fn accumulate(
+    sightings: &[Sighting],
+    point_in_map: &Vector3<f64>,
+) -> Option<NormalEquations> {
     let mut normal = NormalEquations {
         hessian: Matrix3::zeros(),
         gradient: Vector3::zeros(),

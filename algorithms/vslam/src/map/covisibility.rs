@@ -1,7 +1,10 @@
 //! Which keyframes see the same points.
 
-use super::VslamMap;
+use super::{MapPoint, VslamMap};
 use crate::{KeyframeId, PointId};
+
+/// Where fewer points tell their range, those count too whose range is only expected.
+const MEASURED_MIN: usize = 20;
 
 /// A keyframe and how many of the points in question it sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,11 +82,13 @@ impl VslamMap {
             .row(2)
             .into_owned();
         let offset = keyframe.camera_from_map.translation().z;
-        let mut depths: Vec<f64> = keyframe
-            .points()
-            .filter_map(|point| self.point(point))
-            .map(|point| (axis * point.position_in_map).x + offset)
-            .collect();
+        let points = || keyframe.points().filter_map(|point| self.point(point));
+        let depth = |point: &MapPoint| (axis * point.position_in_map).x + offset;
+        let measured = points().filter(|point| point.has_range()).map(depth);
+        let mut depths: Vec<f64> = measured.collect();
+        if depths.len() < MEASURED_MIN {
+            depths = points().map(depth).collect();
+        }
         depths.sort_by(f64::total_cmp);
         depths
     }

@@ -6,7 +6,7 @@ use geometry::{Camera, Map, Transform};
 use nalgebra::{Matrix3, Vector3};
 
 use super::place::CulledKeyframe;
-use super::{Keyframe, MapPoint, View, VslamMap};
+use super::{ExpectedRange, Keyframe, MapPoint, View, VslamMap};
 use crate::frame::Frame;
 use crate::optics::level_scale;
 use crate::{KeyframeId, PointId};
@@ -17,6 +17,7 @@ pub(crate) struct NewPoint {
     pub(crate) position_in_map: Vector3<f64>,
     pub(crate) covariance_in_map: Matrix3<f64>,
     pub(crate) parallax_rad: f64,
+    pub(crate) expected_range: Option<ExpectedRange>,
 }
 
 impl VslamMap {
@@ -77,6 +78,7 @@ impl VslamMap {
             position_in_map: new.position_in_map,
             covariance_in_map: new.covariance_in_map,
             parallax_rad: new.parallax_rad,
+            expected_range: new.expected_range,
             descriptor,
             first_keyframe,
             made_at: KeyframeId(self.keyframes.next_id() - 1),

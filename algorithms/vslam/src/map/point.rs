@@ -3,7 +3,9 @@
 use features::Descriptor;
 use nalgebra::{Matrix3, Vector3};
 
+use crate::frame::Viewpoint;
 use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR};
+use crate::triangulation::d_position_d_point;
 use crate::{KeyframeId, PointId};
 
 /// A place in the map that several keyframes see.
@@ -17,6 +19,8 @@ pub struct MapPoint {
     /// The newest keyframe when it was made.
     pub(crate) made_at: KeyframeId,
     pub(crate) parallax_rad: f64,
+    /// Only while its views do not tell how far away it is.
+    pub(crate) expected_range: Option<ExpectedRange>,
     /// Keyframes that see it and the index of the observation in each, by keyframe.
     pub(crate) views: Vec<View>,
     /// Mean direction from the cameras that see it.
@@ -27,6 +31,14 @@ pub struct MapPoint {
     pub(crate) visible_count: u32,
     /// Frames in which it was.
     pub(crate) found_count: u32,
+}
+
+/// What the surroundings say of a point's distance from the keyframe that saw it first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ExpectedRange {
+    /// Per unit of the map.
+    pub(crate) inverse_range: f64,
+    pub(crate) sigma: f64,
 }
 
 /// Where a keyframe shows a map point.
@@ -69,6 +81,24 @@ impl MapPoint {
         Some(self.views[position.ok()?].observation_idx as usize)
     }
 
+    /// How much its uncertain range blurs where a camera shows it, as a variance on the ideal
+    /// plane; nothing where its range is known.
+    pub(crate) fn blur_variance(
+        &self,
+        viewpoint: &Viewpoint,
+        point_in_camera: &Vector3<f64>,
+    ) -> f64 {
+        if self.has_range() || point_in_camera.z <= 0.0 {
+            return 0.0;
+        }
+        let inverse_depth = 1.0 / point_in_camera.z;
+        let position = point_in_camera.xy() * inverse_depth;
+        d_position_d_point(viewpoint.rotation(), &position, inverse_depth)
+            .iter()
+            .map(|row| (row * self.covariance_in_map * row.transpose()).x)
+            .sum()
+    }
+
     /// The pyramid level on which it should be found from this distance.
     pub(crate) fn predicted_level(&self, distance: f64) -> u8 {
         let level = (self.finest_distance / distance).ln() / LEVEL_FACTOR.ln();
@@ -84,6 +114,12 @@ impl MapPoint {
 
     pub fn view_count(&self) -> usize {
         self.views.len()
+    }
+
+    /// Whether its views tell how far away it is. Otherwise only its direction is known, and the
+    /// position is a guess within `covariance_in_map`.
+    pub fn has_range(&self) -> bool {
+        self.expected_range.is_none()
     }
 
     /// The keyframes that see it, oldest first.

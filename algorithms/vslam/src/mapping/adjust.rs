@@ -2,6 +2,8 @@
 
 use nalgebra::Vector3;
 
+use super::directions::{self, range_prior, release_range};
+use super::grow::parallax_rad_min;
 use crate::bundle::{
     BundleObservation, BundlePose, BundleProblem, BundleReport, BundleSettings, Workspace, adjust,
 };
@@ -119,10 +121,15 @@ fn run(
         }
     }
     for (id, covariance) in selection.points.iter().zip(&report.point_covariances) {
-        if let (Some(point), Some(covariance)) = (map.point_mut(*id), covariance) {
-            point.covariance_in_map = *covariance;
+        let expected = range_prior(map, *id, 0);
+        if let (Some(point), Some(adjusted)) = (map.point_mut(*id), covariance) {
+            point.covariance_in_map = match expected {
+                Some(prior) => directions::covariance(&prior, &point.position_in_map),
+                None => *adjusted,
+            };
         }
         update_parallax(map, *id);
+        release_range(map, *id, parallax_rad_min);
         map.refresh_point(*id);
     }
     report
@@ -165,6 +172,8 @@ fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewNam
             .point(*id)
             .expect("the selection holds the map's points");
         problem.points.push(point.position_in_map);
+        let prior = range_prior(map, *id, point_idx);
+        problem.range_priors.extend(prior);
         for view in &point.views {
             let Ok(pose_idx) = selection.keyframes.binary_search(&view.keyframe) else {
                 continue;
@@ -187,7 +196,7 @@ fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewNam
 
 /// The widest angle only grows while views are added, so a few views tell it well enough.
 fn update_parallax(map: &mut VslamMap, id: PointId) {
-    let Some(point) = map.point(id) else {
+    let Some(point) = map.point(id).filter(|point| point.has_range()) else {
         return;
     };
     let chosen = point.views.first().into_iter().chain(point.views.last());

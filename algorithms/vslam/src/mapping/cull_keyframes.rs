@@ -1,6 +1,6 @@
 //! Removes keyframes that say nothing that others do not say.
 
-use crate::{Keyframe, KeyframeId, VslamMap};
+use crate::{Keyframe, KeyframeId, MapPoint, VslamMap};
 
 /// A keyframe goes if this share of its points is seen by three others at least as finely.
 const REDUNDANT_SHARE: f64 = 0.9;
@@ -8,6 +8,8 @@ const REDUNDANT_SHARE: f64 = 0.9;
 const OTHER_VIEWS_MIN: usize = 3;
 /// The newest keyframes are kept: the next frames hold on to them.
 const NEWEST_KEPT: u32 = 2;
+/// With fewer points of known range than this, those of expected range count too.
+const RANGED_MIN: usize = 20;
 /// Keyframes looked at per insertion.
 const CANDIDATES_MAX: usize = 30;
 
@@ -25,12 +27,20 @@ pub(crate) fn cull(map: &mut VslamMap, newest: KeyframeId) {
 }
 
 fn is_redundant(map: &VslamMap, keyframe: &Keyframe) -> bool {
+    let ranged_count = keyframe
+        .points()
+        .filter(|point| map.point(*point).is_some_and(MapPoint::has_range))
+        .count();
+    let all_count = ranged_count < RANGED_MIN;
     let mut point_count = 0;
     let mut redundant_count = 0;
     for observation in &keyframe.observations {
         let Some(point) = observation.point.and_then(|point| map.point(point)) else {
             continue;
         };
+        if !all_count && !point.has_range() {
+            continue;
+        }
         point_count += 1;
         if point.views.len() <= OTHER_VIEWS_MIN {
             continue;

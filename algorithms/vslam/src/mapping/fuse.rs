@@ -70,10 +70,13 @@ pub(crate) fn fuse(optics: &Optics, map: &mut VslamMap, points: &[PointId], targ
     }
 }
 
-/// The one with more views stays.
+/// The one stays whose range is known, or that has more views.
 fn merge(map: &mut VslamMap, one: PointId, other: PointId) {
-    let view_count = |id| map.point(id).map(|point| point.views.len());
-    let (Some(ones), Some(others)) = (view_count(one), view_count(other)) else {
+    let worth = |id| {
+        map.point(id)
+            .map(|point| (point.has_range(), point.views.len()))
+    };
+    let (Some(ones), Some(others)) = (worth(one), worth(other)) else {
         return;
     };
     let (kept, dropped) = if ones > others {
@@ -88,7 +91,7 @@ fn merge(map: &mut VslamMap, one: PointId, other: PointId) {
 fn land(optics: &Optics, map: &VslamMap, id: PointId, target: KeyframeId) -> Option<Landing> {
     let keyframe = map.keyframe(target)?;
     let point = map.point(id)?;
-    if point.observation_idx(target).is_some() {
+    if point.observation_idx(target).is_some() || !point.has_range() {
         return None;
     }
     let viewpoint = Viewpoint::new(keyframe.camera_from_map);

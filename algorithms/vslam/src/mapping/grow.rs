@@ -34,14 +34,43 @@ pub(crate) fn triangulate_new(optics: &Optics, map: &mut VslamMap, id: KeyframeI
         let (Some(first), Some(second)) = (map.keyframe(id), map.keyframe(neighbour)) else {
             continue;
         };
-        let found = match_pair(optics, (first, second), &depths);
-        new_points.extend(
-            found
-                .into_iter()
-                .map(|(point, views)| map.add_point(point, views)),
-        );
+        let found = match_pair((optics, map), (first, second), &depths);
+        for (point, views) in found {
+            let freed = free_views(map, &views);
+            let id = map.add_point(point, views);
+            for view in freed {
+                map.link(id, view);
+            }
+            new_points.push(id);
+        }
     }
     new_points
+}
+
+/// Removes the points of unknown range that these views show; returns their other views.
+fn free_views(map: &mut VslamMap, views: &[View]) -> Vec<View> {
+    let mut freed = Vec::new();
+    for view in views {
+        let keyframe = map.keyframe(view.keyframe);
+        let shown = keyframe.and_then(|one| one.observations[view.observation_idx as usize].point);
+        let Some(id) = shown else {
+            continue;
+        };
+        freed.extend(
+            map.point(id)
+                .map(|point| point.views.clone())
+                .unwrap_or_default(),
+        );
+        map.remove_point(id);
+    }
+    freed.retain(|view| !views.contains(view));
+    freed
+}
+
+/// Whether an observation waits for a point of known range.
+fn waits(map: &VslamMap, observation: &Observation) -> bool {
+    let point = observation.point.and_then(|point| map.point(point));
+    point.is_none_or(|point| !point.has_range())
 }
 
 /// The keyframes that share most of the view from far enough away, the farthest first: a point's
@@ -126,7 +155,7 @@ impl Epipolar {
 
 /// Triangulates all good pairs of observations without a point.
 fn match_pair(
-    optics: &Optics,
+    (optics, map): (&Optics, &VslamMap),
     (first, second): (&Keyframe, &Keyframe),
     depths: &DepthRange,
 ) -> Vec<(NewPoint, Vec<View>)> {
@@ -134,10 +163,11 @@ fn match_pair(
     let mut taken = vec![false; second.observations.len()];
     let mut found = Vec::new();
     for (idx, one) in first.observations.iter().enumerate() {
-        if one.point.is_some() {
+        if !waits(map, one) {
             continue;
         }
-        let Some(other_idx) = best_on_line(optics, &epipolar, (one, second), depths, &taken) else {
+        let Some(other_idx) = best_on_line((optics, map), &epipolar, (one, second), depths, &taken)
+        else {
             continue;
         };
         let other = &second.observations[other_idx];
@@ -155,7 +185,7 @@ fn match_pair(
 }
 
 fn best_on_line(
-    optics: &Optics,
+    (optics, map): (&Optics, &VslamMap),
     epipolar: &Epipolar,
     (one, second): (&Observation, &Keyframe),
     depths: &DepthRange,
@@ -184,7 +214,7 @@ fn best_on_line(
             let radius = 10.0 * optics.window * level_scale(entry.level).sqrt();
             (epipole - entry.position).norm_squared() < radius * radius
         });
-        if beside || other.point.is_some() {
+        if beside || !waits(map, other) {
             return;
         }
         let distance = one.descriptor.distance(&other.descriptor);
@@ -235,7 +265,7 @@ fn triangulate_pair(
     };
     let sigma = one.sigma.hypot(other.sigma);
     let settings = TriangulationSettings {
-        parallax_rad_min: PARALLAX_RAD_MIN.max(PARALLAX_SIGMAS_MIN * sigma),
+        parallax_rad_min: parallax_rad_min(sigma),
         ..TriangulationSettings::default()
     };
     let sightings = [sighting(first, one), sighting(second, other)];
@@ -250,7 +280,13 @@ fn triangulate_pair(
         position_in_map: point.point_in_map,
         covariance_in_map: point.covariance_in_map,
         parallax_rad: point.parallax_rad,
+        expected_range: None,
     })
+}
+
+/// The least angle between two rays that tells a range, by the noise of the angle.
+pub(crate) fn parallax_rad_min(sigma: f64) -> f64 {
+    PARALLAX_RAD_MIN.max(PARALLAX_SIGMAS_MIN * sigma)
 }
 
 /// Rays must meet at this angle at least: 1°.

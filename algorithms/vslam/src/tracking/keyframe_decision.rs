@@ -36,7 +36,13 @@ pub(crate) fn wants_keyframe(
     let Some(reference) = map.keyframe(tracked.reference) else {
         return true;
     };
-    let share = tracked.inlier_count as f64 / expected_count(map, reference).max(1) as f64;
+    let ranged_count = frame
+        .observations
+        .iter()
+        .filter_map(|one| map.point(one.point?))
+        .filter(|point| point.has_range())
+        .count();
+    let share = ranged_count as f64 / expected_count(map, reference).max(1) as f64;
     if share < SHARE_URGENT || tracked.inlier_count < INLIERS_URGENT {
         return true;
     }
@@ -50,7 +56,7 @@ fn expected_count(map: &VslamMap, reference: &Keyframe) -> usize {
     reference
         .points()
         .filter_map(|point| map.point(point))
-        .filter(|point| point.view_count() >= views_min)
+        .filter(|point| point.has_range() && point.view_count() >= views_min)
         .count()
 }
 

@@ -13,6 +13,8 @@ const KEYFRAMES_MAX: usize = 20;
 const KEYFRAMES_WITH_NEIGHBOURS_MAX: usize = 40;
 /// A point is looked for up to this angle from where it was seen before.
 const VIEWING_COSINE_MIN: f64 = 0.5;
+/// The window grows by this many standard deviations of an uncertain range.
+const BLURS: f64 = 2.0;
 const GATE: Gate = Gate {
     distance_max: 80,
     ratio_max: 0.8,
@@ -23,6 +25,7 @@ const GATE: Gate = Gate {
 pub(crate) struct LocalMap {
     /// The keyframe that sees most of the frame's points.
     pub(crate) reference: KeyframeId,
+    /// Those of known range first: they take the keypoints that they fit.
     pub(crate) points: Vec<PointId>,
 }
 
@@ -52,20 +55,23 @@ impl LocalMap {
                 break;
             }
         }
-        let points = map.points_of(&keyframes);
+        let mut points = map.points_of(&keyframes);
+        points.sort_by_key(|point| map.point(*point).is_some_and(|point| !point.has_range()));
         Some(Self { reference, points })
     }
 }
 
-/// Names, in `frame`, the points of the local map that it shows at this pose.
+/// Names, in `frame`, the points of the local map that it shows at this pose; returns how many of
+/// known range it should show.
 pub(crate) fn match_local_map(
     optics: &Optics,
     map: &mut VslamMap,
     local: &LocalMap,
     camera_from_map: &Transform<Camera, Map>,
     frame: &mut Frame,
-) {
+) -> usize {
     let viewpoint = Viewpoint::new(*camera_from_map);
+    let mut expected_count = 0;
     let mut matched: Vec<PointId> = frame
         .observations
         .iter()
@@ -79,11 +85,13 @@ pub(crate) fn match_local_map(
         };
         if already {
             point.visible_count += 1;
+            expected_count += usize::from(point.has_range());
             continue;
         }
         let Some(wanted) = expect(optics, &viewpoint, point) else {
             continue;
         };
+        expected_count += usize::from(point.has_range());
         let free = |observation: &Observation| observation.point.is_none();
         let found = find(&wanted, (&frame.grid, &frame.observations), GATE, free);
         if let Some(found) = found {
@@ -91,11 +99,13 @@ pub(crate) fn match_local_map(
         }
         point.visible_count += 1;
     }
+    expected_count
 }
 
 /// Where and how a point should appear; `None` where it should not.
 fn expect<'a>(optics: &Optics, viewpoint: &Viewpoint, point: &'a MapPoint) -> Option<Wanted<'a>> {
-    let position = optics.project(&viewpoint.transform(&point.position_in_map))?;
+    let point_in_camera = viewpoint.transform(&point.position_in_map);
+    let position = optics.project(&point_in_camera)?;
     let ray = point.position_in_map - viewpoint.centre_in_map;
     let distance = ray.norm();
     let viewing_cosine = ray.dot(&point.viewing_direction) / distance;
@@ -104,9 +114,10 @@ fn expect<'a>(optics: &Optics, viewpoint: &Viewpoint, point: &'a MapPoint) -> Op
     }
     let window_px = if viewing_cosine > 0.998 { 4.0 } else { 6.0 };
     let level = point.predicted_level(distance);
+    let blur = point.blur_variance(viewpoint, &point_in_camera).sqrt();
     Some(Wanted {
         position,
-        radius: window_px * optics.window * level_scale(level),
+        radius: window_px * optics.window * level_scale(level) + BLURS * blur,
         levels: level.saturating_sub(1)..=(level + 1).min(LEVEL_COUNT as u8 - 1),
         descriptor: &point.descriptor,
     })

@@ -29,12 +29,14 @@ pub(crate) fn match_last_frame(
         let Some(point) = map.point(tracked.id) else {
             continue;
         };
-        let Some(position) = optics.project(&viewpoint.transform(&point.position_in_map)) else {
+        let point_in_camera = viewpoint.transform(&point.position_in_map);
+        let Some(position) = optics.project(&point_in_camera) else {
             continue;
         };
+        let blur = point.blur_variance(&viewpoint, &point_in_camera).sqrt();
         let wanted = Wanted {
             position,
-            radius: window_px * optics.window * level_scale(tracked.level),
+            radius: window_px * optics.window * level_scale(tracked.level) + 2.0 * blur,
             levels: tracked.level.saturating_sub(1)..=(tracked.level + 1).min(LEVEL_COUNT as u8),
             descriptor: &point.descriptor,
         };

@@ -5,7 +5,7 @@ use geometry::{Camera, Map, Transform};
 use nalgebra::Matrix6;
 
 use crate::VslamMap;
-use crate::frame::Frame;
+use crate::frame::{Frame, Viewpoint};
 
 /// A pose and how well it is known.
 #[derive(Clone, Debug)]
@@ -22,17 +22,20 @@ pub(crate) fn refine(
     frame: &mut Frame,
     inlier_count_min: usize,
 ) -> Option<PoseFit> {
+    let viewpoint = Viewpoint::new(*start);
     let mut indices = Vec::with_capacity(frame.observations.len());
     let mut matches = Vec::with_capacity(frame.observations.len());
     for (idx, observation) in frame.observations.iter().enumerate() {
         let Some(point) = observation.point.and_then(|point| map.point(point)) else {
             continue;
         };
+        let point_in_camera = viewpoint.transform(&point.position_in_map);
+        let blur_variance = point.blur_variance(&viewpoint, &point_in_camera);
         indices.push(idx);
         matches.push(PointObservation {
             point_in_world: point.position_in_map,
             position: observation.position,
-            sigma: observation.sigma,
+            sigma: (observation.sigma * observation.sigma + blur_variance).sqrt(),
         });
     }
     let settings = RefineSettings {
