@@ -13,6 +13,8 @@ const SHARE_MIN: f64 = 0.8;
 /// Fewer than this share, or than this many inliers, call for one wherever the camera is.
 const SHARE_URGENT: f64 = 0.5;
 const INLIERS_URGENT: usize = 60;
+/// So do inliers that are fewer than this share of the keypoints, if the camera moved.
+const KEYPOINTS_MIN: f64 = 0.12;
 /// A camera that moved less than this share of the depth since a recent keyframe sees no parallax.
 const MOTION_MIN: f64 = 0.02;
 /// A turn by one radian counts as much motion as this share of the depth.
@@ -47,7 +49,8 @@ pub(crate) fn wants_keyframe(
         return true;
     }
     let overdue = frame.captured_at - clock.last_keyframe_at >= INTERVAL_MAX_S;
-    (share < SHARE_MIN || overdue) && motion(map, tracked) > MOTION_MIN
+    let thin = (tracked.inlier_count as f64) < KEYPOINTS_MIN * frame.observations.len() as f64;
+    (share < SHARE_MIN || overdue || thin) && motion(map, tracked) > MOTION_MIN
 }
 
 /// Points of the reference keyframe that have proved themselves.
