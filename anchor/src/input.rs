@@ -43,7 +43,8 @@ impl KeyframeInput {
     pub fn from_map(map: &VslamMap, id: KeyframeId) -> Option<Self> {
         let keyframe = map.keyframe(id)?;
         let seen = keyframe.observations().iter().filter_map(|one| one.point);
-        let points = seen.filter_map(|id| map.point(id)).map(|point| PointInput {
+        let ranged = seen.filter_map(|id| map.point(id).filter(|point| point.has_range()));
+        let points = ranged.map(|point| PointInput {
             id: point.id(),
             position_in_map: *point.position_in_map(),
             covariance_in_map: *point.covariance_in_map(),

@@ -346,7 +346,8 @@ impl Node {
     pub fn points_in_enu(&self) -> Vec<Vector3<f64>> {
         let places = self.places();
         let map = self.slam.map();
-        let placed = map.points().filter_map(|point| {
+        let ranged = map.points().filter(|point| point.has_range());
+        let placed = ranged.filter_map(|point| {
             let keyframe = map.keyframe(point.views().first()?.keyframe)?;
             places.point(keyframe.captured_at(), point.position_in_map())
         });

@@ -233,8 +233,9 @@ fn largest_trajectory(vslam: &Vslam) -> Vec<StampedPose<Map>> {
 }
 
 fn map_points(map: &VslamMap) -> PointCloud {
-    let points = map.points().map(|point| *point.position_in_map()).collect();
-    let descriptors = map.points().map(|point| *point.descriptor()).collect();
+    let ranged = || map.points().filter(|point| point.has_range());
+    let points = ranged().map(|point| *point.position_in_map()).collect();
+    let descriptors = ranged().map(|point| *point.descriptor()).collect();
     PointCloud {
         points,
         colors: None,

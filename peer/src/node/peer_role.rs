@@ -212,6 +212,7 @@ fn keyframe_idx(id: KeyframeId) -> KeyframeIdx {
 fn observe(keyframe: &Keyframe, map: &VslamMap) -> KeyframeObservation {
     let features = keyframe.observations().iter().map(|observation| {
         let point = observation.point.and_then(|id| map.point(id));
+        let point = point.filter(|point| point.has_range());
         ObservedFeature {
             position: observation.position,
             sigma: observation.sigma,

@@ -40,7 +40,7 @@ impl Node {
 fn trusted(map: &VslamMap) -> impl Iterator<Item = &Vector3<f64>> {
     let points = map.points();
     points
-        .filter(|point| point.view_count() >= VIEW_COUNT_MIN)
+        .filter(|point| point.has_range() && point.view_count() >= VIEW_COUNT_MIN)
         .map(|point| point.position_in_map())
 }
 

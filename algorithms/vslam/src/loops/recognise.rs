@@ -163,8 +163,10 @@ fn pair_points(
         .observations
         .iter()
         .filter_map(|one| Some((one, query.map.point(one.point?)?)))
+        .filter(|(_, point)| point.has_range())
         .collect();
-    let theirs: Vec<_> = points.iter().filter_map(|id| target.point(*id)).collect();
+    let theirs = points.iter().filter_map(|id| target.point(*id));
+    let theirs: Vec<_> = theirs.filter(|point| point.has_range()).collect();
     let own_descriptors: Vec<_> = own.iter().map(|(one, _)| one.descriptor).collect();
     let their_descriptors: Vec<_> = theirs.iter().map(|point| point.descriptor).collect();
     let settings = MatchSettings {
@@ -221,7 +223,8 @@ fn see(
     let viewpoint = Viewpoint::new(target_from_camera.inverse());
     let mut seen = Seen::default();
     let mut taken = BTreeSet::new();
-    for point in points.iter().filter_map(|id| target.point(*id)) {
+    let points = points.iter().filter_map(|id| target.point(*id));
+    for point in points.filter(|point| point.has_range()) {
         let ray = point.position_in_map - viewpoint.centre_in_map;
         let distance = ray.norm();
         let position = optics.project(&viewpoint.transform(&point.position_in_map));

@@ -42,5 +42,9 @@ impl MapPoint {
         self.covariance_in_map = linear * self.covariance_in_map * linear.transpose();
         self.viewing_direction = new_from_old.rotation() * self.viewing_direction;
         self.finest_distance *= new_from_old.scale();
+        if let Some(expected) = &mut self.expected_range {
+            expected.inverse_range /= new_from_old.scale();
+            expected.sigma /= new_from_old.scale();
+        }
     }
 }

@@ -72,6 +72,7 @@ fn map_of_places(rng: &mut ChaCha8Rng, place_count: usize) -> (VslamMap, Vec<Vec
                 position_in_map: Vector3::z(),
                 covariance_in_map: Matrix3::identity(),
                 parallax_rad: 0.1,
+                expected_range: None,
             };
             map.add_point(point, ids.iter().map(view).collect());
         }

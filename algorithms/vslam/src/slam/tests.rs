@@ -327,6 +327,35 @@ fn turning_on_the_spot_is_no_start() {
 }
 
 #[test]
+fn a_turn_to_what_was_never_seen_from_elsewhere_is_held() {
+    // Goal: a camera that turns on the spot by its whole field of view keeps its pose, though
+    // nothing that it sees then has any parallax.
+    let world = World::new(5);
+    let mut slam = machine();
+    let walk = 45;
+    let turned = |frame: usize| (frame.saturating_sub(walk) as f64 * 0.035).min(1.12);
+    let mut last = None;
+    for frame in 0..walk + 40 {
+        let shot = Pose {
+            position: pose(frame.min(walk)).position,
+            yaw_rad: -turned(frame),
+            pitch_rad: 0.0,
+        };
+        let report = slam.process(&world.render(&shot), stamp(frame)).0;
+        if frame >= walk {
+            let pose = report.map_from_camera.expect("the turn is tracked");
+            last = Some(pose);
+        }
+    }
+    let first = slam.trajectory()[walk].map_from_camera.unwrap();
+    let turn = (first.inverse() * last.unwrap()).rotation().angle();
+    assert!((turn - 1.12).abs() < 0.02, "turned by {turn} rad");
+    let points = || slam.map().points();
+    assert!(points().any(|point| !point.has_range()));
+    assert!(points().filter(|point| point.has_range()).count() > 100);
+}
+
+#[test]
 fn images_without_content_are_no_start() {
     let mut slam = machine();
     let mut noise = 1_u32;

@@ -150,6 +150,7 @@ impl World {
                         position_in_map: estimate * in_camera,
                         covariance_in_map: Matrix3::identity() * 1e-4,
                         parallax_rad: 0.1,
+                        expected_range: None,
                     };
                     Sight::Point(map.add_point(new, vec![first, view]))
                 }
