@@ -4,7 +4,8 @@ use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
 use crate::Distortion;
 
-/// Focal lengths and principal point, pixels.
+/// Focal lengths and principal point, pixels. Focal lengths are pixels per unit of the ideal plane
+/// at its centre, whatever the lens: see [`Distortion`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     pub fx: f64,
@@ -21,6 +22,8 @@ pub struct CameraModel {
     intrinsics: Intrinsics,
     distortion: Distortion,
     radius_limit_squared: f64,
+    /// Rays further off the axis are on the other side of a fold, radians.
+    angle_limit: f64,
 }
 
 /// Why numbers do not describe a camera.
@@ -36,16 +39,34 @@ pub enum ImplausibleCamera {
         value: f64,
         width: usize,
     },
-    #[error("principal point ({cx}, {cy}) lies outside the image of {width}×{height}")]
+    #[error("fx = {fx} and fy = {fy} differ by more than a factor of 2")]
+    FocalRatio { fx: f64, fy: f64 },
+    #[error("the image is only {fov_deg:.2}° wide: expected at least {FOV_MIN_DEG}°")]
+    NarrowView { fov_deg: f64 },
+    #[error(
+        "principal point ({cx}, {cy}) is far off the centre of an image of {width}×{height}: \
+         expected at least a tenth of each side from the border"
+    )]
     PrincipalPoint {
         cx: f64,
         cy: f64,
         width: usize,
         height: usize,
     },
+    #[error("{name} = {value}: expected {expected}")]
+    Coefficient {
+        name: &'static str,
+        value: f64,
+        expected: &'static str,
+    },
     #[error("the distortion folds back inside the image: pixel ({x:.0}, {y:.0}) has no ray")]
     FoldedDistortion { x: f64, y: f64 },
 }
+
+/// Narrower views are taken for calibrations of something else.
+const FOV_MIN_DEG: f64 = 5.0;
+/// How near to the border the principal point may be, of a side.
+const PRINCIPAL_MARGIN: f64 = 0.1;
 
 impl CameraModel {
     /// A camera with these numbers, or what is wrong with them.
@@ -59,28 +80,35 @@ impl CameraModel {
             return Err(ImplausibleCamera::ImageSize { width, height });
         }
         check_intrinsics(&intrinsics, width, height)?;
-        check_finite(&distortion)?;
+        check_distortion(&distortion)?;
         let radius_limit = distortion.radius_limit();
         let radius_limit_squared = radius_limit * radius_limit;
+        let angle_limit = if radius_limit.is_finite() {
+            radius_limit.atan()
+        } else {
+            std::f64::consts::PI
+        };
         let camera = Self {
             width,
             height,
             intrinsics,
             distortion,
             radius_limit_squared,
+            angle_limit,
         };
         // Corners may lie beyond the fold, as with many wide lenses; the middle of a border not.
         let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
         let (middle, centre) = (0.5 * right, 0.5 * bottom);
-        for (x, y) in [
-            (0.0, centre),
-            (right, centre),
-            (middle, 0.0),
-            (middle, bottom),
-        ] {
-            if camera.unproject(&Vector2::new(x, y)).is_none() {
-                return Err(ImplausibleCamera::FoldedDistortion { x, y });
-            }
+        let ray = |x, y| {
+            let ray = camera.unproject(&Vector2::new(x, y));
+            ray.ok_or(ImplausibleCamera::FoldedDistortion { x, y })
+        };
+        let (leftmost, rightmost) = (ray(0.0, centre)?, ray(right, centre)?);
+        ray(middle, 0.0)?;
+        ray(middle, bottom)?;
+        let fov_deg = leftmost.angle(&rightmost).to_degrees();
+        if fov_deg < FOV_MIN_DEG {
+            return Err(ImplausibleCamera::NarrowView { fov_deg });
         }
         Ok(camera)
     }
@@ -145,9 +173,12 @@ impl CameraModel {
     /// The unit ray of a pixel in the camera frame; `None` where the model does not hold.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let plane = self.plane_from_pixel(pixel);
-        if let Distortion::Equidistant { .. } = self.distortion {
+        if self.distortion.sees_behind() {
             let radius = plane.norm();
             let angle = self.distortion.straight_angle(radius)?;
+            if angle > self.angle_limit {
+                return None;
+            }
             let outward = if radius < 1e-12 {
                 Vector2::zeros()
             } else {
@@ -206,7 +237,14 @@ fn check_intrinsics(
             return Err(ImplausibleCamera::FocalLength { name, value, width });
         }
     }
-    if !(0.0..width as f64).contains(&cx) || !(0.0..height as f64).contains(&cy) {
+    if !(0.5..=2.0).contains(&(fx / fy)) {
+        return Err(ImplausibleCamera::FocalRatio { fx, fy });
+    }
+    let is_inside = |value: f64, side: usize| {
+        let share = value / side as f64;
+        (PRINCIPAL_MARGIN..=1.0 - PRINCIPAL_MARGIN).contains(&share)
+    };
+    if !is_inside(cx, width) || !is_inside(cy, height) {
         return Err(ImplausibleCamera::PrincipalPoint {
             cx,
             cy,
@@ -217,21 +255,42 @@ fn check_intrinsics(
     Ok(())
 }
 
-fn check_finite(distortion: &Distortion) -> Result<(), ImplausibleCamera> {
+fn check_distortion(distortion: &Distortion) -> Result<(), ImplausibleCamera> {
     let coefficients = match *distortion {
         Distortion::None => return Ok(()),
         Distortion::RadialTangential { k1, k2, p1, p2, k3 } => {
             vec![("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2), ("k3", k3)]
         }
+        Distortion::Rational { radial, p1, p2 } => {
+            let names = ["k1", "k2", "k3", "k4", "k5", "k6"];
+            let radial = names.into_iter().zip(radial);
+            radial.chain([("p1", p1), ("p2", p2)]).collect()
+        }
         Distortion::Equidistant { k1, k2, k3, k4 } => {
             vec![("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4)]
         }
+        Distortion::FieldOfView { omega_rad } => vec![("omega", omega_rad)],
+        Distortion::DoubleSphere { xi, alpha } => vec![("xi", xi), ("alpha", alpha)],
     };
-    match coefficients
-        .into_iter()
-        .find(|(_, value)| !value.is_finite())
-    {
-        Some((name, value)) => Err(ImplausibleCamera::NotFinite { name, value }),
-        None => Ok(()),
+    let mut named = coefficients.into_iter();
+    if let Some((name, value)) = named.find(|(_, value)| !value.is_finite()) {
+        return Err(ImplausibleCamera::NotFinite { name, value });
     }
+    let (name, value, expected) = match *distortion {
+        Distortion::FieldOfView { omega_rad } if !(1e-3..=3.1).contains(&omega_rad) => {
+            ("omega", omega_rad, "0.001 to 3.1 rad")
+        }
+        Distortion::DoubleSphere { xi, .. } if !(-0.99..=10.0).contains(&xi) => {
+            ("xi", xi, "-0.99 to 10")
+        }
+        Distortion::DoubleSphere { alpha, .. } if !(0.0..=1.0).contains(&alpha) => {
+            ("alpha", alpha, "0 to 1")
+        }
+        _ => return Ok(()),
+    };
+    Err(ImplausibleCamera::Coefficient {
+        name,
+        value,
+        expected,
+    })
 }

@@ -3,9 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
 
-use crate::{
-    Calibration, CalibrationError, CameraModel, Distortion, ImplausibleCamera, Intrinsics,
-};
+use crate::{CameraModel, Distortion, ImplausibleCamera, Intrinsics};
 
 const INTRINSICS: Intrinsics = Intrinsics {
     fx: 458.654,
@@ -36,6 +34,25 @@ fn cameras() -> Vec<CameraModel> {
             k2: 0.0207,
             k3: -0.0128,
             k4: 0.0025,
+        },
+        // A common depth camera's, as its driver publishes it.
+        Distortion::Rational {
+            radial: [0.6733, -2.8418, 1.6289, 0.5515, -2.6596, 1.5529],
+            p1: 1e-3,
+            p2: -2e-4,
+        },
+        Distortion::FieldOfView { omega_rad: 0.92 },
+        Distortion::DoubleSphere {
+            xi: -0.25,
+            alpha: 0.57,
+        },
+        Distortion::DoubleSphere {
+            xi: 0.3,
+            alpha: 0.4,
+        },
+        Distortion::DoubleSphere {
+            xi: 1.2,
+            alpha: 0.0,
         },
     ]
     .into_iter()
@@ -118,78 +135,180 @@ fn matches_the_projection_of_an_independent_implementation() {
     assert!((pixel - Vector2::new(u, v)).norm() < 1e-9);
 }
 
-const SENSOR: &str = "
-sensor_type: camera
-comment: VI-Sensor cam0 (MT9M034)
-T_BS:
-  cols: 4
-  rows: 4
-  data: [0.0, -1.0, 0.0, -0.02, 1.0, 0.0, 0.0, -0.06, 0.0, 0.0, 1.0, 0.01, 0.0, 0.0, 0.0, 1.0]
-rate_hz: 20
-resolution: [752, 480]
-camera_model: pinhole
-intrinsics: [458.654, 457.296, 367.215, 248.375] # fu, fv, cu, cv
-distortion_model: radial-tangential
-distortion_coefficients: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]
-";
-
 #[test]
-fn reads_a_sensor_yaml() {
-    let calibration = Calibration::from_euroc_yaml(SENSOR).unwrap();
-    assert_eq!(calibration.camera, cameras()[1]);
-    assert_eq!(calibration.rate_hz, Some(20.0));
-    let forward = calibration.body_from_camera * Vector3::x();
-    assert!((forward - Vector3::new(-0.02, 0.94, 0.01)).norm() < 1e-9);
+fn every_model_leaves_the_neighbourhood_of_the_centre_as_it_is() {
+    for camera in cameras() {
+        let distortion = camera.distortion();
+        for ideal in [Vector2::new(1e-6, 0.0), Vector2::new(-3e-7, 4e-7)] {
+            let (bent, d_bent_d_ideal) = distortion.distort_with_derivative(&ideal);
+            assert!((bent - ideal).norm() < 1e-8 * 1e-6 + 0.01 * ideal.norm());
+            let error = (d_bent_d_ideal - nalgebra::Matrix2::identity()).norm();
+            assert!(error < 1e-5, "{distortion:?} {d_bent_d_ideal}");
+        }
+        assert_eq!(
+            distortion.distort(&Vector2::zeros()),
+            Vector2::zeros(),
+            "{distortion:?}"
+        );
+    }
 }
 
 #[test]
-fn without_a_pose_only_the_axes_turn() {
-    let start = SENSOR.find("T_BS").unwrap();
-    let end = SENSOR.find("rate_hz").unwrap();
-    let text = format!("{}{}", &SENSOR[..start], &SENSOR[end..]);
-    let body_from_camera = Calibration::from_euroc_yaml(&text)
-        .unwrap()
-        .body_from_camera;
-    assert!((body_from_camera * Vector3::z() - Vector3::x()).norm() < 1e-12);
-    assert!((body_from_camera * Vector3::x() + Vector3::y()).norm() < 1e-12);
-    assert!((body_from_camera * Vector3::y() + Vector3::z()).norm() < 1e-12);
+fn the_derivative_of_distortion_matches_differences_out_to_the_limit() {
+    for camera in cameras() {
+        let distortion = camera.distortion();
+        let radius_max = distortion.radius_limit().min(3.5);
+        for step in 1..40 {
+            let radius = radius_max * f64::from(step) / 40.0;
+            let ideal = Vector2::new(radius * 0.6, -radius * 0.8);
+            let (_, derivative) = distortion.distort_with_derivative(&ideal);
+            for axis in 0..2 {
+                let mut step = Vector2::zeros();
+                step[axis] = 1e-6;
+                let after = distortion.distort(&(ideal + step));
+                let slope = (after - distortion.distort(&(ideal - step))) / 2e-6;
+                let error = (slope - derivative.column(axis)).norm();
+                assert!(error < 1e-6, "{distortion:?} at {radius}: {error}");
+            }
+        }
+    }
 }
 
 #[test]
-fn refuses_calibrations_that_do_not_fit() {
-    let check = |from: &str, to: &str, expected: &str| {
-        assert!(SENSOR.contains(from), "{from}");
-        let error = Calibration::from_euroc_yaml(&SENSOR.replace(from, to)).unwrap_err();
-        assert!(error.to_string().contains(expected), "{to}: {error}");
+fn wide_models_hold_out_to_the_rays_that_are_used() {
+    // 74 degrees off the axis, the widest that any estimator here looks at.
+    let ray = Vector3::new(3.5_f64.atan().sin(), 0.0, 3.5_f64.atan().cos());
+    for distortion in [
+        Distortion::FieldOfView { omega_rad: 0.92 },
+        Distortion::DoubleSphere {
+            xi: -0.25,
+            alpha: 0.57,
+        },
+        Distortion::Equidistant {
+            k1: -0.0137,
+            k2: 0.0207,
+            k3: -0.0128,
+            k4: 0.0025,
+        },
+    ] {
+        let intrinsics = Intrinsics {
+            fx: 220.0,
+            fy: 220.0,
+            cx: 320.0,
+            cy: 240.0,
+        };
+        let camera = CameraModel::new(640, 480, intrinsics, distortion).unwrap();
+        let pixel = camera.project(&ray).unwrap();
+        assert!((camera.unproject(&pixel).unwrap() - ray).norm() < 1e-9);
+        let plane = camera.undistort(&pixel).unwrap();
+        assert!((plane - Vector2::new(3.5, 0.0)).norm() < 1e-8, "{plane}");
+    }
+}
+
+#[test]
+fn pixels_of_rays_that_do_not_point_forward_have_no_place_on_the_ideal_plane() {
+    let intrinsics = Intrinsics {
+        fx: 200.0,
+        fy: 200.0,
+        cx: 320.0,
+        cy: 240.0,
     };
-    check("[458.654,", "[", "intrinsics has 3 numbers");
-    check("458.654", "4.0", "fx = 4 px for an image 752 px wide");
-    check("458.654", ".nan", "fx = NaN");
-    check("367.215", "900.0", "principal point");
-    check("[752, 480]", "[752]", "resolution has 1 numbers");
-    check("[752, 480]", "[7520000, 480]", "image size");
-    check("radial-tangential", "fov", "distortion_model is \"fov\"");
-    check("pinhole", "omni", "camera_model is \"omni\"");
+    // A ray 100 degrees off the axis, by the formula of the paper: xi = -0.2, alpha = 0.6.
+    let (xi, alpha) = (-0.2, 0.6);
+    let angle = 100_f64.to_radians();
+    let (x, z) = (angle.sin(), angle.cos());
+    let shifted = xi + z;
+    let bent = x / (alpha * x.hypot(shifted) + (1.0 - alpha) * shifted);
+    let distortion = Distortion::DoubleSphere { xi, alpha };
+    let camera = CameraModel::new(640, 480, intrinsics, distortion).unwrap();
+    let pixel = Vector2::new(320.0 + 200.0 * (1.0 + xi) * bent, 240.0);
+    let ray = camera.unproject(&pixel).unwrap();
+    assert!((ray - Vector3::new(x, 0.0, z)).norm() < 1e-9, "{ray}");
+    assert_eq!(camera.undistort(&pixel), None);
+    // Outside the image of the whole sphere there is nothing: bent radius 1/sqrt(2 alpha - 1).
+    let beyond = Vector2::new(320.0 + 200.0 * (1.0 + xi) * 2.24, 240.0);
+    assert_eq!(camera.unproject(&beyond), None);
+    let omega_rad = 1.0;
+    let fov = CameraModel::new(640, 480, intrinsics, Distortion::FieldOfView { omega_rad });
+    // Half a turn of the arctangent: r_d = (pi/2) / (2 tan(omega/2)) = 1.44.
+    let fov = fov.unwrap_err();
+    assert!(matches!(fov, ImplausibleCamera::FoldedDistortion { .. }));
+}
+
+#[test]
+fn projects_as_the_papers_write_it() {
+    let point = Vector3::new(0.7, -0.4, 1.3);
+    let (fx, fy, cx, cy) = (200.0, 201.0, 320.0, 240.0);
+    let check = |distortion: Distortion, bent: Vector2<f64>| {
+        let slope = distortion.customary_slope();
+        let intrinsics = Intrinsics {
+            fx: fx * slope,
+            fy: fy * slope,
+            cx,
+            cy,
+        };
+        let camera = CameraModel::new(640, 480, intrinsics, distortion).unwrap();
+        let expected = Vector2::new(fx * bent.x + cx, fy * bent.y + cy);
+        let pixel = camera.project(&point).unwrap();
+        assert!((pixel - expected).norm() < 1e-9, "{distortion:?} {pixel}");
+    };
+    // Devernay and Faugeras, eq. 13.
+    let ideal = point.xy() / point.z;
+    let omega_rad: f64 = 0.8;
+    let bent = (2.0 * ideal.norm() * (omega_rad / 2.0).tan()).atan() / omega_rad;
     check(
-        "1.76187114e-05]",
-        "1.0, 2.0, 3.0]",
-        "distortion_coefficients has 6 numbers",
+        Distortion::FieldOfView { omega_rad },
+        ideal / ideal.norm() * bent,
     );
-    check("-0.28340811", "-3.0", "folds back");
-    check("rate_hz: 20", "rate_hz: -1", "rate_hz is -1");
-    check(
-        "[0.0, -1.0, 0.0, -0.02",
-        "[0.0, -2.0, 0.0, -0.02",
-        "not a rigid transform",
+    // Usenko et al., eq. 40–45.
+    let (xi, alpha) = (-0.17, 0.59);
+    let shifted = xi * point.norm() + point.z;
+    let d2 = point.xy().norm().hypot(shifted);
+    let bent = point.xy() / (alpha * d2 + (1.0 - alpha) * shifted);
+    check(Distortion::DoubleSphere { xi, alpha }, bent);
+    // OpenCV's manual, with eight coefficients.
+    let [k1, k2, k3, k4, k5, k6] = [0.1, -0.02, 0.003, 0.05, -0.01, 0.002];
+    let (p1, p2) = (0.001, -0.002);
+    let (x, y, r2) = (ideal.x, ideal.y, ideal.norm_squared());
+    let radial = (1.0 + k1 * r2 + k2 * r2.powi(2) + k3 * r2.powi(3))
+        / (1.0 + k4 * r2 + k5 * r2.powi(2) + k6 * r2.powi(3));
+    let bent = Vector2::new(
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
     );
-    assert!(matches!(
-        Calibration::from_euroc_yaml("{ not yaml ]"),
-        Err(CalibrationError::Syntax(_))
-    ));
-    assert!(matches!(
-        Calibration::from_euroc_yaml(""),
-        Err(CalibrationError::Syntax(_))
-    ));
+    let radial = [k1, k2, k3, k4, k5, k6];
+    check(Distortion::Rational { radial, p1, p2 }, bent);
+}
+
+#[test]
+fn refuses_numbers_that_are_no_camera() {
+    let check = |intrinsics: Intrinsics, distortion: Distortion, expected: &str| {
+        let error = CameraModel::new(752, 480, intrinsics, distortion).unwrap_err();
+        assert!(error.to_string().contains(expected), "{error}");
+    };
+    let narrow = Intrinsics {
+        fx: 10_000.0,
+        fy: 10_000.0,
+        ..INTRINSICS
+    };
+    check(narrow, Distortion::None, "only 4.30° wide");
+    let stretched = Intrinsics {
+        fy: 1000.0,
+        ..INTRINSICS
+    };
+    check(stretched, Distortion::None, "differ by more than a factor");
+    let aside = Intrinsics {
+        cx: 20.0,
+        ..INTRINSICS
+    };
+    check(aside, Distortion::None, "far off the centre");
+    let sphere = |xi, alpha| Distortion::DoubleSphere { xi, alpha };
+    check(INTRINSICS, sphere(-1.5, 0.5), "xi = -1.5: expected");
+    check(INTRINSICS, sphere(0.1, 1.5), "alpha = 1.5: expected");
+    check(INTRINSICS, sphere(f64::NAN, 0.5), "xi = NaN");
+    let omega = |omega_rad| Distortion::FieldOfView { omega_rad };
+    check(INTRINSICS, omega(0.0), "omega = 0: expected");
+    check(INTRINSICS, omega(3.0), "folds back");
     assert!(matches!(
         CameraModel::new(0, 480, INTRINSICS, Distortion::None),
         Err(ImplausibleCamera::ImageSize { .. })

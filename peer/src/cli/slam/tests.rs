@@ -214,9 +214,8 @@ fn rendered_frames(frame_count: usize) -> Rendered {
     Rendered {
         frames: frames.collect(),
         calibration: camera::Calibration {
-            camera: drone.description.camera.clone(),
             body_from_camera: drone.description.body_from_camera,
-            rate_hz: None,
+            ..camera::Calibration::looking_forward(drone.description.camera.clone())
         },
     }
 }
