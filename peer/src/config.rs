@@ -43,16 +43,20 @@ pub struct VehicleConfig {
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraConfig {
-    /// A recording, `FOLDER` or `FOLDER@A..B`.
+    /// A recording, `PATH` or `PATH@A..B`: a folder in TUM RGB-D, EuRoC or KITTI layout, an MCAP
+    /// file, or a video.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dataset: Option<String>,
     /// `HOST:PORT` of a stream driver.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stream: Option<String>,
-    /// A file with the fields of EuRoC's `sensor.yaml`. A stream needs one; for a recording it
+    /// A calibration by EuRoC, Kalibr, ROS or OpenCV. A stream needs one; for a recording it
     /// stands in for the one that lies beside the images.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<PathBuf>,
+    /// The images of an MCAP file, where it has several kinds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub topic: Option<String>,
 }
 
 /// Where position fixes come from: exactly one of `file` and `stream`.
@@ -302,8 +306,8 @@ impl CameraConfig {
                 Err("[camera] needs exactly one of dataset and stream".to_owned())
             }
             (Some(dataset), None) => match dataset.parse::<DatasetArgument>() {
-                Ok(argument) if argument.folder.as_os_str().is_empty() => Err(format!(
-                    "[camera] dataset is {dataset:?}, expected a folder"
+                Ok(argument) if argument.path.as_os_str().is_empty() => Err(format!(
+                    "[camera] dataset is {dataset:?}, expected a file or folder"
                 )),
                 Ok(_) => Ok(()),
                 Err(error) => Err(format!("[camera] dataset: {error}")),
@@ -312,6 +316,9 @@ impl CameraConfig {
                 let port = stream.rsplit_once(':').map(|(_, port)| port.parse::<u16>());
                 if !matches!(port, Some(Ok(_))) {
                     return Err(format!("[camera] stream is {stream:?}, expected HOST:PORT"));
+                }
+                if self.topic.is_some() {
+                    return Err("[camera] topic needs a dataset".to_owned());
                 }
                 match self.calibration {
                     Some(_) => Ok(()),

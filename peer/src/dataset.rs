@@ -1,32 +1,39 @@
-//! Recordings as cameras: folders in TUM RGB-D, EuRoC or KITTI layout.
+//! Recordings as cameras: folders in TUM RGB-D, EuRoC or KITTI layout, MCAP files, videos.
 
 mod argument;
 mod calibration_file;
 mod decode;
+mod error;
 mod layout;
+mod mcap;
 mod reader;
+mod source;
+mod video;
 
 use std::path::{Path, PathBuf};
 
-use camera::{Calibration, CalibrationError, Image};
+use camera::{Calibration, Image};
 use geometry::Timestamp;
-
-use crate::files::FileError;
 
 pub use argument::{DatasetArgument, FrameRange, MalformedRange};
 pub use calibration_file::CalibrationFile;
-use decode::IMAGE_BYTES_MAX;
-pub use decode::{ImageError, decode_grey, image_size};
+use decode::{BitDepth, IMAGE_BYTES_MAX};
+pub use decode::{ImageError, decode_grey};
+pub use error::{DatasetError, UnreadableImage};
 pub use layout::Layout;
 pub use reader::{Camera, CameraEvent, DatasetCamera, Frame};
+use source::{ImageReader, Source};
+pub use video::Ffmpeg;
 
 /// A recording that can be read: its list of images and its calibration were checked.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    folder: PathBuf,
-    layout: Layout,
+    source: Source,
     calibration: Calibration,
     frames: Vec<FrameEntry>,
+    /// Of images with 16 bits.
+    depth: BitDepth,
+    losses: Vec<String>,
 }
 
 /// One image of a recording, not read yet.
@@ -35,110 +42,76 @@ pub struct FrameEntry {
     /// The number of the frame in the whole recording, from zero.
     pub frame_idx: usize,
     pub captured_at: Timestamp,
+    /// Of the image, or of the recording that it is in.
     pub path: PathBuf,
 }
 
-/// Why a recording is refused as a whole.
-#[derive(Debug, thiserror::Error)]
-pub enum DatasetError {
-    #[error("no such folder: {folder}")]
-    NoFolder { folder: PathBuf },
-    #[error(
-        "found none of rgb.txt (TUM RGB-D), mav0/cam0/data.csv (EuRoC), image_0 (KITTI); \
-         images need a list with their time stamps, in {folder}"
-    )]
-    UnknownLayout { folder: PathBuf },
-    #[error("{what} is not supported yet; export the images with an rgb.txt: {path}")]
-    NotSupported { what: &'static str, path: PathBuf },
-    /// A list or a calibration beside the images.
-    #[error(transparent)]
-    File(#[from] FileError),
-    #[error("lists no images: {path}")]
-    NoImages { path: PathBuf },
-    #[error("frames {range} of a recording of {frame_count}: {folder}")]
-    EmptyRange {
-        range: FrameRange,
-        frame_count: usize,
-        folder: PathBuf,
-    },
-    #[error("no calibration; expected one of {expected} in {folder}")]
-    NoCalibration {
-        expected: &'static str,
-        folder: PathBuf,
-    },
-    #[error("calibration refused: {error}: {path}")]
-    Calibration {
-        error: CalibrationError,
-        path: PathBuf,
-    },
-    #[error(
-        "the calibration is for {}×{}, the images have {}×{}: {calibration} and {image}",
-        expected_px.0, expected_px.1, got_px.0, got_px.1
-    )]
-    CalibrationSize {
-        expected_px: (usize, usize),
-        got_px: (usize, usize),
-        calibration: PathBuf,
-        image: PathBuf,
-    },
-    #[error("no image could be decoded, of {frame_count}; the first: {first}")]
-    NoImageDecodes {
-        frame_count: usize,
-        first: UnreadableImage,
-    },
-}
-
-/// One image that is skipped, and why.
-#[derive(Debug, thiserror::Error)]
-#[error("{reason}: {path}")]
-pub struct UnreadableImage {
-    pub reason: ImageError,
-    pub path: PathBuf,
+/// What a recording does not say itself.
+#[derive(Clone, Debug, Default)]
+pub struct RecordingOptions {
+    /// Instead of the calibration in the recording or beside it, which then need not be there.
+    pub calibration: Option<PathBuf>,
+    /// Which images of an MCAP file, where there are several kinds.
+    pub topic: Option<String>,
+    pub ffmpeg: Ffmpeg,
 }
 
 impl Dataset {
-    /// Opens a recording with the calibration that lies beside its images.
+    /// Opens a recording with the calibration in it or beside it.
     pub fn open(argument: &DatasetArgument) -> Result<Self, DatasetError> {
-        Self::open_calibrated(argument, None)
+        Self::open_with(argument, &RecordingOptions::default())
     }
 
     /// Opens a recording and checks that an image can be decoded and has the calibration's size.
-    ///
-    /// - `given`: instead of the calibration beside the images, which then need not be there.
-    pub fn open_calibrated(
+    pub fn open_with(
         argument: &DatasetArgument,
-        given: Option<CalibrationFile>,
+        options: &RecordingOptions,
     ) -> Result<Self, DatasetError> {
-        let folder = argument.folder.clone();
-        let layout = Layout::detect(&folder)?;
-        let frames = choose_frames(layout.list_frames(&folder)?, argument)?;
-        let (first_idx, first_size_px) = first_image(&frames)?;
+        let given = options.calibration.as_deref().map(CalibrationFile::read);
+        let given = given.transpose()?;
+        let (source, path) = Source::open(&argument.path, options)?;
+        let all_frames = source.list_frames(&path)?;
+        let frame_count = all_frames.len();
+        let frames = choose_frames(all_frames, argument)?;
+        let mut first = FirstImages::new(&source, &frames)?;
         let file = match given {
             Some(file) => file,
-            None => layout.read_calibration(&folder, first_size_px)?,
+            None => source.read_calibration(&path, first.size_px)?,
         };
-        if !has_size_soon(&frames[first_idx..], file.size_px()) {
+        let Some(depth) = first.look_further(file.size_px()) else {
             return Err(DatasetError::CalibrationSize {
                 expected_px: file.size_px(),
-                got_px: first_size_px,
+                got_px: first.size_px,
                 calibration: file.path,
-                image: frames[first_idx].path.clone(),
+                image: first.path,
             });
-        }
+        };
+        // What is lost behind the chosen frames is not missed.
+        let range_end = argument.range.and_then(|range| range.end);
+        let losses = match range_end {
+            Some(end) if end <= frame_count => Vec::new(),
+            _ => {
+                let losses = source.losses().into_iter();
+                losses
+                    .map(|loss| format!("{loss}: {}", path.display()))
+                    .collect()
+            }
+        };
         Ok(Self {
-            folder,
-            layout,
+            source,
             calibration: file.calibration,
             frames,
+            depth,
+            losses,
         })
     }
 
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
-    pub fn layout(&self) -> Layout {
-        self.layout
+    /// `None` of a recording in one file.
+    pub fn layout(&self) -> Option<Layout> {
+        match self.source {
+            Source::Folder(layout) => Some(layout),
+            Source::Mcap(_) | Source::Video(_) => None,
+        }
     }
 
     pub fn calibration(&self) -> &Calibration {
@@ -150,15 +123,64 @@ impl Dataset {
         &self.frames
     }
 
+    /// What should be in the recording and is not, a sentence each.
+    pub fn losses(&self) -> &[String] {
+        &self.losses
+    }
+
+    /// Reads the frames one after the other.
+    pub fn images(&self) -> DatasetImages {
+        DatasetImages {
+            reader: self.source.images(),
+            is_file_each: self.source.has_image_files(),
+            expected_px: (
+                self.calibration.camera.width(),
+                self.calibration.camera.height(),
+            ),
+            depth: self.depth,
+            is_mosaic: self.calibration.is_mosaic,
+        }
+    }
+}
+
+/// Images of a dataset as its camera sees them.
+pub struct DatasetImages {
+    reader: ImageReader,
+    is_file_each: bool,
+    expected_px: (usize, usize),
+    depth: BitDepth,
+    is_mosaic: bool,
+}
+
+impl DatasetImages {
     /// Reads and decodes one frame, and checks its size against the calibration.
-    pub fn read_image(&self, entry: &FrameEntry) -> Result<Image, UnreadableImage> {
-        let camera = &self.calibration.camera;
-        read_image(&entry.path, (camera.width(), camera.height())).map_err(|reason| {
-            UnreadableImage {
-                reason,
-                path: entry.path.clone(),
+    ///
+    /// - `entry`: not before the last one.
+    pub fn read(&mut self, entry: &FrameEntry) -> Result<Image, UnreadableImage> {
+        let raster = self.reader.read(entry).and_then(|raster| {
+            let (expected_width, expected_height) = self.expected_px;
+            if raster.size_px() == self.expected_px {
+                return Ok(raster);
             }
-        })
+            Err(ImageError::Size {
+                got_width: raster.width,
+                got_height: raster.height,
+                expected_width,
+                expected_height,
+            })
+        });
+        match raster {
+            Ok(raster) => Ok(raster.into_image(self.depth, self.is_mosaic)),
+            Err(reason) => Err(unreadable(reason, entry, self.is_file_each)),
+        }
+    }
+}
+
+fn unreadable(reason: ImageError, entry: &FrameEntry, is_file_each: bool) -> UnreadableImage {
+    UnreadableImage {
+        reason,
+        path: entry.path.clone(),
+        frame_idx: (!is_file_each).then_some(entry.frame_idx),
     }
 }
 
@@ -178,55 +200,67 @@ fn choose_frames(
         return Err(DatasetError::EmptyRange {
             range,
             frame_count,
-            folder: argument.folder.clone(),
+            path: argument.path.clone(),
         });
     }
     Ok(frames)
 }
 
-/// The first image that can be decoded, and its width and height.
-fn first_image(frames: &[FrameEntry]) -> Result<(usize, (usize, usize)), DatasetError> {
-    let mut first_failure = None;
-    for (idx, frame) in frames.iter().enumerate() {
-        match read_bytes(&frame.path).and_then(|bytes| decode_grey(&bytes)) {
-            Ok(image) => return Ok((idx, (image.width(), image.height()))),
-            Err(reason) => {
-                first_failure.get_or_insert(UnreadableImage {
-                    reason,
-                    path: frame.path.clone(),
-                });
-            }
-        }
-    }
-    Err(DatasetError::NoImageDecodes {
-        frame_count: frames.len(),
-        first: first_failure.expect("a range of frames is checked not to be empty"),
-    })
+/// What the first images of a recording say about all of them.
+struct FirstImages<'a> {
+    reader: ImageReader,
+    rest: &'a [FrameEntry],
+    /// Of the first one that can be decoded.
+    size_px: (usize, usize),
+    path: PathBuf,
+    bits_needed: Option<u32>,
 }
 
 /// A recording may begin with images of another size; with more than these, it is the calibration
-/// that is wrong.
-const ODD_IMAGE_COUNT_MAX: usize = 10;
+/// that is wrong. So many also say how many bits there are.
+const FIRST_IMAGES_MAX: usize = 10;
 
-fn has_size_soon(frames: &[FrameEntry], size_px: (usize, usize)) -> bool {
-    frames.iter().take(1 + ODD_IMAGE_COUNT_MAX).any(|frame| {
-        let size = read_bytes(&frame.path).and_then(|bytes| image_size(&bytes));
-        size.is_ok_and(|got_px| got_px == size_px)
-    })
-}
-
-fn read_image(path: &Path, expected: (usize, usize)) -> Result<Image, ImageError> {
-    let bytes = read_bytes(path)?;
-    let (got_width, got_height) = image_size(&bytes)?;
-    if (got_width, got_height) != expected {
-        return Err(ImageError::Size {
-            got_width,
-            got_height,
-            expected_width: expected.0,
-            expected_height: expected.1,
-        });
+impl<'a> FirstImages<'a> {
+    fn new(source: &Source, frames: &'a [FrameEntry]) -> Result<Self, DatasetError> {
+        let mut reader = source.images();
+        let mut first_failure = None;
+        for (idx, entry) in frames.iter().enumerate() {
+            match reader.read(entry) {
+                Ok(raster) => {
+                    return Ok(Self {
+                        reader,
+                        rest: &frames[idx + 1..],
+                        size_px: raster.size_px(),
+                        path: entry.path.clone(),
+                        bits_needed: raster.bits_needed(),
+                    });
+                }
+                Err(reason) => {
+                    let is_file_each = source.has_image_files();
+                    first_failure.get_or_insert_with(|| unreadable(reason, entry, is_file_each));
+                }
+            }
+        }
+        Err(DatasetError::NoImageDecodes {
+            frame_count: frames.len(),
+            first: first_failure.expect("a range of frames is checked not to be empty"),
+        })
     }
-    decode_grey(&bytes)
+
+    /// How many bits the images have; `None` if none of the first ones has this size.
+    fn look_further(&mut self, expected_px: (usize, usize)) -> Option<BitDepth> {
+        let mut has_size = self.size_px == expected_px;
+        for entry in self.rest.iter().take(FIRST_IMAGES_MAX) {
+            if has_size && self.bits_needed.is_none() {
+                break;
+            }
+            if let Ok(raster) = self.reader.read(entry) {
+                has_size |= raster.size_px() == expected_px;
+                self.bits_needed = self.bits_needed.max(raster.bits_needed());
+            }
+        }
+        has_size.then(|| BitDepth::of(self.bits_needed))
+    }
 }
 
 /// Reads and decodes an image of any size.

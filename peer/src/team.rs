@@ -18,7 +18,7 @@ use anyhow::{Context, anyhow, bail};
 use crate::config::{
     CameraConfig, EstimationConfig, PositionConfig, VehicleConfig, ZenohConfig, ZenohMode,
 };
-use crate::dataset::{Dataset, DatasetArgument};
+use crate::dataset::{Dataset, DatasetArgument, RecordingOptions};
 use crate::files::create_folder;
 use crate::process::VehicleSummary;
 use crate::process::control::{Order, Report};
@@ -48,6 +48,7 @@ pub struct TeamPlan {
 pub struct PlannedVehicle {
     pub id: String,
     pub dataset: DatasetArgument,
+    pub recording: RecordingOptions,
     /// Makes it an anchor.
     pub position: Option<PositionConfig>,
 }
@@ -208,7 +209,7 @@ impl Flight {
 /// The time stamps of each vehicle's frames.
 fn open_recordings(plan: &TeamPlan) -> anyhow::Result<Vec<Vec<i64>>> {
     let stamps = plan.vehicles.iter().map(|vehicle| {
-        let dataset = Dataset::open(&vehicle.dataset)?;
+        let dataset = Dataset::open_with(&vehicle.dataset, &vehicle.recording)?;
         let frames = dataset.frames().iter();
         Ok(frames
             .map(|frame| frame.captured_at.nanoseconds())
@@ -380,7 +381,8 @@ fn vehicle_config(
         std::path::absolute(path).with_context(|| format!("no such path: {}", path.display()))
     };
     let mut dataset = vehicle.dataset.clone();
-    dataset.folder = absolute(&dataset.folder)?;
+    dataset.path = absolute(&dataset.path)?;
+    let calibration = vehicle.recording.calibration.as_deref().map(absolute);
     let mut position = vehicle.position.clone();
     if let Some(file) = position
         .as_mut()
@@ -392,6 +394,8 @@ fn vehicle_config(
         id: vehicle.id.clone(),
         camera: CameraConfig {
             dataset: Some(dataset.to_string()),
+            calibration: calibration.transpose()?,
+            topic: vehicle.recording.topic.clone(),
             ..CameraConfig::default()
         },
         position,

@@ -12,14 +12,24 @@ use vslam::{MapId, TrackingState, Vslam, VslamMap, VslamSettings};
 
 use super::output::{self, Progress};
 use super::{Exit, UsageError};
-use crate::dataset::{Camera, Dataset, DatasetArgument, DatasetCamera, FrameRange};
+use crate::dataset::{
+    Camera, Dataset, DatasetArgument, DatasetCamera, FrameRange, RecordingOptions,
+};
 use crate::files::{self, PointCloud, StampedPose};
 use intake::{Arrival, Intake, IntakeCounts, Pace};
 
 #[derive(clap::Args)]
 pub struct SlamArguments {
-    /// A recording in TUM RGB-D, EuRoC or KITTI layout, `DATASET[@A..B]`.
+    /// A recording, `DATASET[@A..B]`: a folder in TUM RGB-D, EuRoC or KITTI layout, an MCAP file,
+    /// or a video.
     pub dataset: DatasetArgument,
+    /// Instead of the calibration that lies beside the images, or in the MCAP file: EuRoC, Kalibr,
+    /// ROS camera_info or OpenCV.
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// The images of an MCAP file, where it has several kinds.
+    #[arg(long)]
+    pub topic: Option<String>,
     /// The trajectory after all corrections (TUM: map_from_camera).
     #[arg(long)]
     pub out: PathBuf,
@@ -72,7 +82,13 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     for path in std::iter::once(&arguments.out).chain(&arguments.map) {
         files::check_destination(path)?;
     }
-    let dataset = Dataset::open(&chosen)?;
+    let options = RecordingOptions {
+        calibration: arguments.calibration.clone(),
+        topic: arguments.topic.clone(),
+        ..RecordingOptions::default()
+    };
+    let dataset = Dataset::open_with(&chosen, &options)?;
+    let losses = dataset.losses().to_vec();
     let frame_count = dataset.frames().len();
     let vslam = Vslam::new(
         dataset.calibration().camera.clone(),
@@ -89,6 +105,7 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
         pace: arguments.realtime.then(Pace::default),
     };
     let mut drive = Drive::new(vslam);
+    drive.losses = losses;
     drive.run_through(camera, plan, &progress);
     drive.vslam.finish();
     progress.finish();
@@ -137,6 +154,8 @@ struct Drive {
     tracked_live: usize,
     lost: usize,
     intake: IntakeCounts,
+    /// What should have been in the recording.
+    losses: Vec<String>,
     /// Of the newest frame without a pose.
     untracked: Option<TrackingState>,
 }
@@ -149,6 +168,7 @@ impl Drive {
             tracked_live: 0,
             lost: 0,
             intake: IntakeCounts::default(),
+            losses: Vec::new(),
             untracked: None,
         }
     }
@@ -200,6 +220,9 @@ impl Drive {
                 self.intake.unreadable_count
             ));
         }
+        for loss in &self.losses {
+            output::diagnose(&format!("warning: {loss}"));
+        }
         if tracked == 0 {
             let reason = self.untracked.map_or_else(
                 || "no image came to be looked at".to_owned(),
@@ -210,7 +233,7 @@ impl Drive {
             ));
             return Exit::Refused;
         }
-        if self.intake.first_unreadable.is_some() {
+        if self.intake.first_unreadable.is_some() || !self.losses.is_empty() {
             Exit::DoneWithLoss
         } else {
             Exit::Done

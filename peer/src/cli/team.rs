@@ -1,5 +1,6 @@
 //! `starling team`.
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -9,7 +10,7 @@ use super::flight::{FlightBar, FlightSummary};
 use super::run::client_line;
 use super::{Exit, UsageError, output};
 use crate::config::{PositionConfig, SIGMA_MAX_M};
-use crate::dataset::DatasetArgument;
+use crate::dataset::{DatasetArgument, RecordingOptions};
 use crate::team::{
     Ending, Outage, PlannedVehicle, Progress, TeamPlan, TeamReport, VehicleReport, fly,
 };
@@ -30,6 +31,13 @@ pub struct TeamArguments {
     /// A recording flown as a peer; may be repeated.
     #[arg(long, value_name = "DATASET[@A..B]")]
     pub peer: Vec<DatasetArgument>,
+    /// Instead of the calibration that lies beside the images of the anchor or peer before it, or
+    /// in its MCAP file; may be repeated.
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Vec<PathBuf>,
+    /// The images of the MCAP file of the anchor or peer before it; may be repeated.
+    #[arg(long)]
+    pub topic: Vec<String>,
     /// Where trajectories, covariances and maps go.
     #[arg(long)]
     pub out: PathBuf,
@@ -98,24 +106,28 @@ fn losses(report: &TeamReport) -> Vec<String> {
 
 fn plan(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<TeamPlan> {
     let fixes = fixes_of_anchors(arguments, order)?;
+    let mut recordings = recordings(arguments, order)?.into_iter();
+    let mut recording = || recordings.next().unwrap_or_default();
     let anchors = arguments.anchor.iter().zip(&fixes).enumerate();
-    let anchors = anchors.map(|(idx, (dataset, fixes))| PlannedVehicle {
+    let mut vehicles: Vec<PlannedVehicle> = Vec::new();
+    vehicles.extend(anchors.map(|(idx, (dataset, fixes))| PlannedVehicle {
         id: format!("anchor{}", idx + 1),
         dataset: dataset.clone(),
+        recording: recording(),
         position: Some(PositionConfig {
             file: Some(fixes.clone()),
             noise_m: arguments.fix_noise_m,
             noise_seed: arguments.seed,
             ..PositionConfig::default()
         }),
-    });
+    }));
     let peers = arguments.peer.iter().enumerate();
-    let peers = peers.map(|(idx, dataset)| PlannedVehicle {
+    vehicles.extend(peers.map(|(idx, dataset)| PlannedVehicle {
         id: format!("peer{}", idx + 1),
         dataset: dataset.clone(),
+        recording: recording(),
         position: None,
-    });
-    let vehicles: Vec<PlannedVehicle> = anchors.chain(peers).collect();
+    }));
     for outage in &arguments.outage {
         let known = |name: &String| vehicles.iter().any(|vehicle| vehicle.id == *name);
         if let Some(stranger) = outage.vehicle.as_ref().filter(|name| !known(name)) {
@@ -141,29 +153,68 @@ fn parse_noise(text: &str) -> Result<f64, String> {
 
 /// Each `--fixes` belongs to the `--anchor` before it.
 fn fixes_of_anchors(arguments: &TeamArguments, order: &ArgMatches) -> anyhow::Result<Vec<PathBuf>> {
-    let positions = |name: &str| -> Vec<usize> {
-        order
-            .indices_of(name)
-            .map(Iterator::collect)
-            .unwrap_or_default()
-    };
-    let (anchors, files) = (positions("anchor"), positions("fixes"));
-    let mut fixes: Vec<Option<PathBuf>> = vec![None; anchors.len()];
-    for (file, position) in arguments.fixes.iter().zip(files) {
-        let anchor_idx = anchors.iter().rposition(|anchor| *anchor < position);
-        let slot = anchor_idx
-            .map(|idx| &mut fixes[idx])
-            .filter(|slot| slot.is_none());
-        match slot {
-            Some(slot) => *slot = Some(file.clone()),
-            None => {
-                let message = format!("--fixes {} follows no --anchor", file.display());
-                return Err(UsageError(message).into());
-            }
-        }
-    }
+    let anchors = positions(order, "anchor");
+    let fixes = assign("fixes", &arguments.fixes, &anchors, order)?;
     let complete: Option<Vec<PathBuf>> = fixes.into_iter().collect();
     complete.context(UsageError(
         "each --anchor needs --fixes after it".to_owned(),
     ))
 }
+
+/// Each `--calibration` and `--topic` belongs to the `--anchor` or `--peer` before it. Anchors
+/// come first.
+fn recordings(
+    arguments: &TeamArguments,
+    order: &ArgMatches,
+) -> anyhow::Result<Vec<RecordingOptions>> {
+    let vehicles = [positions(order, "anchor"), positions(order, "peer")].concat();
+    let calibrations = assign("calibration", &arguments.calibration, &vehicles, order)?;
+    let topics = assign("topic", &arguments.topic, &vehicles, order)?;
+    let both = calibrations.into_iter().zip(topics);
+    Ok(both
+        .map(|(calibration, topic)| RecordingOptions {
+            calibration,
+            topic,
+            ..RecordingOptions::default()
+        })
+        .collect())
+}
+
+/// Where on the command line the values of an argument stand.
+fn positions(order: &ArgMatches, name: &str) -> Vec<usize> {
+    let indices = order.indices_of(name);
+    indices.map(Iterator::collect).unwrap_or_default()
+}
+
+/// Gives each value to the vehicle that stands nearest before it.
+///
+/// - `vehicles`: where these stand.
+fn assign<Value: Clone + AsRef<OsStr>>(
+    name: &str,
+    values: &[Value],
+    vehicles: &[usize],
+    order: &ArgMatches,
+) -> Result<Vec<Option<Value>>, UsageError> {
+    let mut assigned: Vec<Option<Value>> = vec![None; vehicles.len()];
+    for (value, position) in values.iter().zip(positions(order, name)) {
+        let before = vehicles.iter().enumerate();
+        let before = before.filter(|(_, vehicle)| **vehicle < position);
+        let nearest = before.max_by_key(|(_, vehicle)| **vehicle);
+        let slot = nearest.map(|(idx, _)| &mut assigned[idx]);
+        match slot.filter(|slot| slot.is_none()) {
+            Some(slot) => *slot = Some(value.clone()),
+            None => {
+                let value = value.as_ref().display();
+                let vehicle = match name {
+                    "fixes" => "--anchor",
+                    _ => "--anchor or --peer",
+                };
+                return Err(UsageError(format!("--{name} {value} follows no {vehicle}")));
+            }
+        }
+    }
+    Ok(assigned)
+}
+
+#[cfg(test)]
+mod tests;

@@ -141,5 +141,7 @@ fn refuses_cameras_and_fixes_that_do_not_go_together() {
         "expected HOST:PORT",
     );
     check("dataset = 'd@3..3'", "", "\"3..3\" is no frame range");
-    check("dataset = ''", "", "expected a folder");
+    check("dataset = ''", "", "expected a file or folder");
+    let topic = format!("{stream}\ntopic = '/image'");
+    check(&topic, "", "topic needs a dataset");
 }

@@ -18,10 +18,10 @@ pub struct MalformedRange {
     pub got: String,
 }
 
-/// A folder, and which of its frames: `DATASET` or `DATASET@A..B`.
+/// A file or folder, and which of its frames: `DATASET` or `DATASET@A..B`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DatasetArgument {
-    pub folder: PathBuf,
+    pub path: PathBuf,
     pub range: Option<FrameRange>,
 }
 
@@ -68,18 +68,18 @@ impl FromStr for DatasetArgument {
     type Err = MalformedRange;
 
     fn from_str(text: &str) -> Result<Self, MalformedRange> {
-        // A folder's name may hold an `@`; only what looks like a range is taken as one.
-        if let Some((folder, range)) = text.rsplit_once('@')
+        // A name may hold an `@`; only what looks like a range is taken as one.
+        if let Some((path, range)) = text.rsplit_once('@')
             && range.contains("..")
             && !range.contains(std::path::MAIN_SEPARATOR)
         {
             return Ok(Self {
-                folder: folder.into(),
+                path: path.into(),
                 range: Some(range.parse()?),
             });
         }
         Ok(Self {
-            folder: text.into(),
+            path: text.into(),
             range: None,
         })
     }
@@ -88,8 +88,8 @@ impl FromStr for DatasetArgument {
 impl fmt::Display for DatasetArgument {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.range {
-            Some(range) => write!(f, "{}@{range}", self.folder.display()),
-            None => write!(f, "{}", self.folder.display()),
+            Some(range) => write!(f, "{}@{range}", self.path.display()),
+            None => write!(f, "{}", self.path.display()),
         }
     }
 }

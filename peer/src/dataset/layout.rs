@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use camera::{Calibration, CalibrationError, CameraModel, Distortion, Intrinsics};
 use geometry::Timestamp;
 
+use super::source::CALIBRATION_NAMES;
 use super::{CalibrationFile, DatasetError, FrameEntry};
 use crate::files::{FileError, parse_seconds};
 
@@ -22,16 +23,13 @@ pub enum Layout {
 
 impl Layout {
     pub fn detect(folder: &Path) -> Result<Self, DatasetError> {
-        if folder.is_file() {
-            return Err(DatasetError::NotSupported {
-                what: "a recording in one file (MCAP or video)",
-                path: folder.to_owned(),
-            });
+        let path = || folder.to_owned();
+        if !folder.exists() {
+            return Err(DatasetError::Nothing { path: path() });
         }
         if !folder.is_dir() {
-            return Err(DatasetError::NoFolder {
-                folder: folder.to_owned(),
-            });
+            let what = "a file, expected a folder of images";
+            return Err(DatasetError::UnknownFile { what, path: path() });
         }
         if folder.join("rgb.txt").is_file() {
             Ok(Self::TumRgbd)
@@ -77,11 +75,10 @@ impl Layout {
         folder: &Path,
         image_size_px: (usize, usize),
     ) -> Result<CalibrationFile, DatasetError> {
-        let mut candidates = vec![folder.join("camera.yaml"), folder.join("sensor.yaml")];
-        if self == Self::Euroc {
-            candidates.insert(0, euroc_camera(folder).join("sensor.yaml"));
-        }
-        if let Some(path) = candidates.into_iter().find(|path| path.is_file()) {
+        let camera = (self == Self::Euroc).then(|| euroc_camera(folder).join("sensor.yaml"));
+        let names = CALIBRATION_NAMES.map(|name| folder.join(name));
+        let mut candidates = camera.into_iter().chain(names);
+        if let Some(path) = candidates.find(|path| path.is_file()) {
             return CalibrationFile::read(&path);
         }
         let kitti = folder.join("calib.txt");
@@ -92,13 +89,14 @@ impl Layout {
                 path: kitti,
             });
         }
+        let first = match self {
+            Self::TumRgbd => "",
+            Self::Euroc => "mav0/cam0/sensor.yaml, ",
+            Self::Kitti => "calib.txt (with P0), ",
+        };
         Err(DatasetError::NoCalibration {
-            expected: match self {
-                Self::TumRgbd => "camera.yaml, sensor.yaml (fields of EuRoC's sensor.yaml)",
-                Self::Euroc => "mav0/cam0/sensor.yaml, camera.yaml",
-                Self::Kitti => "camera.yaml, sensor.yaml, calib.txt (with P0)",
-            },
-            folder: folder.to_owned(),
+            expected: format!("{first}{}", CALIBRATION_NAMES.join(", ")),
+            path: folder.to_owned(),
         })
     }
 }
@@ -188,6 +186,8 @@ fn read_euroc_line(images: &Path, line: &str) -> Result<(Timestamp, PathBuf), St
     ))
 }
 
+const IMAGE_EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "pgm", "ppm"];
+
 fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
     let images = folder.join("image_0");
     let unreadable = |error| FileError::Read {
@@ -196,7 +196,14 @@ fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
     };
     let mut paths = Vec::new();
     for entry in fs::read_dir(&images).map_err(unreadable)? {
-        paths.push(entry.map_err(unreadable)?.path());
+        let path = entry.map_err(unreadable)?.path();
+        // File managers leave files of their own.
+        if path
+            .extension()
+            .is_some_and(|name| IMAGE_EXTENSIONS.iter().any(|one| name == *one))
+        {
+            paths.push(path);
+        }
     }
     paths.sort();
     let times = folder.join("times.txt");
@@ -208,7 +215,7 @@ fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
     if frames.len() != paths.len() {
         return Err(FileError::Line {
             reason: format!(
-                "{} time stamps for {} files in image_0",
+                "{} time stamps for {} images in image_0",
                 frames.len(),
                 paths.len()
             ),

@@ -6,7 +6,7 @@ use std::thread;
 use camera::{Calibration, Image};
 use geometry::Timestamp;
 
-use super::{Dataset, FrameEntry, UnreadableImage};
+use super::{Dataset, DatasetImages, FrameEntry, UnreadableImage};
 
 /// One decoded image of a camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +38,7 @@ impl CameraEvent {
     }
 }
 
-/// A source of images in the order of their time stamps: a folder now, hardware later.
+/// A source of images in the order of their time stamps: a recording now, hardware later.
 pub trait Camera: Send {
     fn calibration(&self) -> &Calibration;
 
@@ -57,8 +57,8 @@ pub struct DatasetCamera {
 
 enum Source {
     Inline {
-        dataset: Box<Dataset>,
-        frame_idx: usize,
+        frames: std::vec::IntoIter<FrameEntry>,
+        images: Box<DatasetImages>,
     },
     Ahead(Receiver<CameraEvent>),
 }
@@ -69,8 +69,8 @@ impl DatasetCamera {
         Self {
             calibration: dataset.calibration().clone(),
             source: Source::Inline {
-                dataset: Box::new(dataset),
-                frame_idx: 0,
+                images: Box::new(dataset.images()),
+                frames: dataset.frames.into_iter(),
             },
         }
     }
@@ -80,9 +80,10 @@ impl DatasetCamera {
         let calibration = dataset.calibration().clone();
         let (sender, receiver) = sync_channel(DECODED_AHEAD_MAX);
         thread::spawn(move || {
+            let mut images = dataset.images();
             for entry in dataset.frames() {
                 // The receiver is gone when the reader stops early.
-                if sender.send(read_event(&dataset, entry)).is_err() {
+                if sender.send(read_event(&mut images, entry)).is_err() {
                     return;
                 }
             }
@@ -101,18 +102,14 @@ impl Camera for DatasetCamera {
 
     fn next_event(&mut self) -> Option<CameraEvent> {
         match &mut self.source {
-            Source::Inline { dataset, frame_idx } => {
-                let entry = dataset.frames().get(*frame_idx)?;
-                *frame_idx += 1;
-                Some(read_event(dataset, entry))
-            }
+            Source::Inline { frames, images } => Some(read_event(images, &frames.next()?)),
             Source::Ahead(receiver) => receiver.recv().ok(),
         }
     }
 }
 
-fn read_event(dataset: &Dataset, entry: &FrameEntry) -> CameraEvent {
-    match dataset.read_image(entry) {
+fn read_event(images: &mut DatasetImages, entry: &FrameEntry) -> CameraEvent {
+    match images.read(entry) {
         Ok(image) => CameraEvent::Frame(Frame {
             frame_idx: entry.frame_idx,
             captured_at: entry.captured_at,

@@ -83,7 +83,7 @@ fn reads_a_part_of_a_tum_folder_the_same_way_inline_and_ahead() {
     let folder = tum_folder();
     let expected = vec![(1, 1_100_000_000, 10), (2, 2_100_000_000, 20)];
     let dataset = open(folder.path(), "@1..3").unwrap();
-    assert_eq!(dataset.layout(), Layout::TumRgbd);
+    assert_eq!(dataset.layout(), Some(Layout::TumRgbd));
     assert_eq!(dataset.calibration().camera.width(), 32);
     assert_eq!(shades(DatasetCamera::inline(dataset.clone())), expected);
     assert_eq!(shades(DatasetCamera::decoding_ahead(dataset)), expected);
@@ -118,10 +118,7 @@ fn ranges_are_half_open_and_their_ends_may_be_left_out() {
         assert!(malformed.parse::<DatasetArgument>().is_err(), "{malformed}");
     }
     let with_at: DatasetArgument = "some@folder".parse().unwrap();
-    assert_eq!(
-        (with_at.folder, with_at.range),
-        ("some@folder".into(), None)
-    );
+    assert_eq!((with_at.path, with_at.range), ("some@folder".into(), None));
     let error = open(folder.path(), "@9..12").unwrap_err().to_string();
     assert!(
         error.starts_with("frames 9..12 of a recording of 4"),
@@ -189,27 +186,43 @@ fn refuses_recordings_that_cannot_be_used_and_says_why() {
         },
         "no image could be decoded, of 4; the first: damaged PNG",
     );
-    assert!(refusal(Path::new("/no/such/folder")).contains("no such folder"));
-    assert!(refusal(Path::new(file!())).contains("no such folder"));
+    assert!(refusal(Path::new("/no/such/folder")).contains("no such file or folder"));
+    assert!(refusal(Path::new(file!())).contains("no such file or folder"));
 }
 
 #[test]
 fn a_calibration_may_be_given_and_must_fit_the_images() {
     let folder = tum_folder();
     fs::remove_file(folder.path().join("camera.yaml")).unwrap();
-    let given = |name: &str, text: &str| {
+    let open = |name: &str, text: &str| {
         write(folder.path(), name, text);
-        CalibrationFile::read(&folder.path().join(name)).unwrap()
+        let options = RecordingOptions {
+            calibration: Some(folder.path().join(name)),
+            ..RecordingOptions::default()
+        };
+        let argument = folder.path().display().to_string().parse().unwrap();
+        Dataset::open_with(&argument, &options)
     };
-    let argument: DatasetArgument = folder.path().display().to_string().parse().unwrap();
-    let fits = given("fits.yaml", CAMERA);
-    assert!(Dataset::open_calibrated(&argument, Some(fits)).is_ok());
-    let other = given("other.yaml", &CAMERA.replace("[32, 24]", "[64, 48]"));
-    let error = Dataset::open_calibrated(&argument, Some(other)).unwrap_err();
-    let error = error.to_string();
-    for part in ["64×48", "32×24", "other.yaml", "rgb/0.png"] {
-        assert!(error.contains(part), "{error:?} lacks {part:?}");
-    }
+    assert!(open("fits.yaml", CAMERA).is_ok());
+    let kalibr = include_str!("../../../algorithms/camera/src/calibration/tests/kalibr_ds.yaml");
+    let check = |text: &str, expected: &[&str]| {
+        let error = open("other.yaml", text).unwrap_err().to_string();
+        for part in expected {
+            assert!(error.contains(part), "{error:?} lacks {part:?}");
+        }
+    };
+    check(kalibr, &["512×512", "32×24", "other.yaml", "rgb/0.png"]);
+    let sized = |size: &str| CAMERA.replace("[32, 24]", size);
+    let hint = "32×24 (it looks like another resolution";
+    check(&sized("[64, 48]"), &["64×48", hint]);
+    check(
+        "intrinsics: [60, 60, 64, 48]\nresolution: [128, 96]\n",
+        &["128×96", hint],
+    );
+    check(
+        "intrinsics: [30, 30, 12, 16]\nresolution: [24, 32]\n",
+        &["turned by a quarter"],
+    );
 }
 
 #[test]
@@ -281,7 +294,6 @@ const JPEG: &[u8] = include_bytes!("tests/grey_16x8.jpg");
 fn decodes_jpeg_and_refuses_every_truncation() {
     let image = decode_grey(JPEG).unwrap();
     assert_eq!((image.width(), image.height()), (16, 8));
-    assert_eq!(image_size(JPEG).unwrap(), (16, 8));
     assert!(image.get(2, 4) < 60 && image.get(13, 4) > 200, "{image:?}");
     for length in 0..JPEG.len() {
         assert!(decode_grey(&JPEG[..length]).is_err(), "{length} bytes");
@@ -306,8 +318,9 @@ fn reads_euroc_and_kitti_folders() {
         grey_png(32, 24, 7),
     );
     write(euroc.path(), "mav0/cam0/sensor.yaml", CAMERA);
+    assert!(open(&euroc.path().join("mav0"), "").is_ok());
     let dataset = open(euroc.path(), "").unwrap();
-    assert_eq!(dataset.layout(), Layout::Euroc);
+    assert_eq!(dataset.layout(), Some(Layout::Euroc));
     assert_eq!(
         dataset.frames()[0].captured_at.nanoseconds(),
         1_403_636_579_763_555_584
@@ -324,7 +337,7 @@ fn reads_euroc_and_kitti_folders() {
     write(kitti.path(), "image_0/000000.png", grey_png(32, 24, 1));
     write(kitti.path(), "image_0/000001.png", grey_png(32, 24, 2));
     let dataset = open(kitti.path(), "").unwrap();
-    assert_eq!(dataset.layout(), Layout::Kitti);
+    assert_eq!(dataset.layout(), Some(Layout::Kitti));
     assert_eq!(dataset.calibration().camera.intrinsics().fy, 31.0);
     assert_eq!(
         shades(DatasetCamera::inline(dataset))[1],
@@ -333,9 +346,115 @@ fn reads_euroc_and_kitti_folders() {
     write(kitti.path(), "calib.txt", "P0: 30 0\n");
     assert!(refusal(kitti.path()).contains("P0 has 2 numbers"));
     write(kitti.path(), "times.txt", "0.0\n");
-    assert!(refusal(kitti.path()).contains("1 time stamps for 2 files"));
-    write(kitti.path(), "film.mp4", "");
-    assert!(refusal(&kitti.path().join("film.mp4")).contains("not supported yet"));
+    assert!(refusal(kitti.path()).contains("1 time stamps for 2 images"));
+    write(kitti.path(), "image_0/.directory", "by a file manager");
+    write(kitti.path(), "image_0/list.txt", "000000.png");
+    assert!(refusal(kitti.path()).contains("1 time stamps for 2 images"));
+}
+
+#[test]
+fn files_that_are_no_recording_say_what_is_expected() {
+    let folder = tempfile::tempdir().unwrap();
+    let check = |name: &str, expected: &str| {
+        write(folder.path(), name, "no recording");
+        let error = refusal(&folder.path().join(name));
+        assert!(error.contains(expected), "{name}: {error}");
+    };
+    check("flight.bag", "`mcap convert`");
+    check("flight_0.db3", "`ros2 bag convert`");
+    check(
+        "flight.txt",
+        "expected a folder, an MCAP file (.mcap), or a video",
+    );
+    check("flight.mcap", "no MCAP file");
+    check("flight.y4m", "expected a folder, an MCAP file");
+    write(folder.path(), "rgb.txt", "1 1.png\n");
+    let options = RecordingOptions {
+        topic: Some("/image".to_owned()),
+        ..RecordingOptions::default()
+    };
+    let argument = folder.path().display().to_string().parse().unwrap();
+    let error = Dataset::open_with(&argument, &options).unwrap_err();
+    assert!(error.to_string().contains("only MCAP files have topics"));
+}
+
+/// Five frames of 32×24, each a shade brighter.
+fn film(folder: &Path, name: &str) -> std::path::PathBuf {
+    let mut bytes = b"YUV4MPEG2 W32 H24 F10:1 Cmono\n".to_vec();
+    for frame in 0..5_u8 {
+        bytes.extend_from_slice(b"FRAME\n");
+        bytes.resize(bytes.len() + 32 * 24, 10 * frame);
+    }
+    write(folder, name, bytes);
+    folder.join(name)
+}
+
+#[test]
+fn a_recording_in_one_file_has_ranges_and_its_calibration_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = film(folder.path(), "film.y4m");
+    let error = refusal(&path);
+    let expected = "expected one of film.yaml camera.yaml, sensor.yaml";
+    assert!(error.contains(expected), "{error}");
+    write(folder.path(), "camera.yaml", CAMERA);
+    let expected = vec![(1, 100_000_000, 10), (2, 200_000_000, 20)];
+    let dataset = open(&path, "@1..3").unwrap();
+    assert_eq!(dataset.layout(), None);
+    assert_eq!(shades(DatasetCamera::inline(dataset.clone())), expected);
+    assert_eq!(shades(DatasetCamera::decoding_ahead(dataset)), expected);
+    write(
+        folder.path(),
+        "film.yaml",
+        CAMERA.replace("[32, 24]", "[64, 48]"),
+    );
+    assert!(refusal(&path).contains("for 64×48, the images have 32×24"));
+}
+
+#[test]
+fn what_a_recording_lost_is_told_unless_it_lies_behind_the_range() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = film(folder.path(), "film.y4m");
+    write(folder.path(), "camera.yaml", CAMERA);
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() - 9]).unwrap();
+    let dataset = open(&path, "").unwrap();
+    assert_eq!(dataset.frames().len(), 4);
+    let expected = "the recording ends after 4 images: damaged after frame 4: it ends in a frame";
+    assert!(
+        dataset.losses()[0].starts_with(expected),
+        "{:?}",
+        dataset.losses()
+    );
+    assert!(dataset.losses()[0].ends_with("film.y4m"));
+    assert_eq!(open(&path, "@2..").unwrap().losses().len(), 1);
+    assert_eq!(open(&path, "@2..9").unwrap().losses().len(), 1);
+    assert!(open(&path, "@2..4").unwrap().losses().is_empty());
+}
+
+#[test]
+fn ten_bits_in_sixteen_are_spread_over_all_shades_and_a_mosaic_becomes_even() {
+    let folder = tum_folder();
+    for idx in 0..4_u16 {
+        let mosaic = |place: usize| match (place / 32 % 2, place % 2) {
+            (0, 0) => 900,
+            (1, 1) => 100,
+            _ => 400 + idx,
+        };
+        let values = (0..32 * 24).flat_map(|place| u16::to_be_bytes(mosaic(place)));
+        let values: Vec<u8> = values.collect();
+        let depth = png::BitDepth::Sixteen;
+        let bytes = png_bytes((32, 24), png::ColorType::Grayscale, depth, &values);
+        write(folder.path(), &format!("rgb/{idx}.png"), bytes);
+    }
+    let shades_of = || shades(DatasetCamera::inline(open(folder.path(), "").unwrap()));
+    assert_eq!(shades_of()[3].2, 100 >> 2);
+    write(
+        folder.path(),
+        "camera.yaml",
+        format!("{CAMERA}bayer: RGGB\n"),
+    );
+    // A quarter of 225, of 25 and of twice 100: red, blue and green.
+    assert_eq!(shades_of()[3].2, 113);
 }
 
 #[cfg(unix)]

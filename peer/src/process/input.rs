@@ -107,14 +107,10 @@ const STREAM_PATIENCE: Duration = Duration::from_secs(10);
 /// Opens what the configuration names.
 pub fn open(config: &VehicleConfig) -> anyhow::Result<Box<dyn Source>> {
     let camera = &config.camera;
-    let calibration = camera.calibration.as_deref();
-    let calibration = calibration.map(CalibrationFile::read).transpose()?;
-    match (&camera.dataset, &camera.stream, calibration) {
-        (Some(dataset), _, calibration) => {
-            let recording = Recording::open(config, &dataset.parse()?, calibration)?;
-            Ok(Box::new(recording))
-        }
-        (None, Some(address), Some(file)) => {
+    match (&camera.dataset, &camera.stream, &camera.calibration) {
+        (Some(dataset), _, _) => Ok(Box::new(Recording::open(config, &dataset.parse()?)?)),
+        (None, Some(address), Some(calibration)) => {
+            let file = CalibrationFile::read(calibration)?;
             let takes_fixes = config.position.as_ref().is_some_and(|one| one.stream);
             let mut source = StreamSource::connect(address, file.calibration, STREAM_PATIENCE)?;
             source.takes_fixes = takes_fixes;

@@ -24,7 +24,7 @@ impl Node {
         serde_saphyr::from_str(&plain).map_err(|error| {
             let reason = error.to_string();
             let first = reason.lines().next().unwrap_or_default();
-            CalibrationError::Syntax(first.to_owned())
+            CalibrationError::Syntax(first.trim_start_matches("error: ").to_owned())
         })
     }
 

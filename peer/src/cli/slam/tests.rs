@@ -67,6 +67,8 @@ fn grey_recording(folder: &std::path::Path, frame_count: usize) {
 fn arguments(folder: &std::path::Path) -> SlamArguments {
     SlamArguments {
         dataset: folder.display().to_string().parse().unwrap(),
+        calibration: None,
+        topic: None,
         out: folder.join("out.tum"),
         map: Some(folder.join("map.ply")),
         frames: None,
@@ -103,6 +105,27 @@ fn a_damaged_image_is_loss_and_not_failure() {
     assert_eq!(drive.exit(5, 0), Exit::Refused);
     let reason = drive.untracked.unwrap().to_string();
     assert_eq!(reason, "starting: too few corners in the image");
+}
+
+#[test]
+fn a_recording_that_was_cut_off_is_loss_and_not_failure() {
+    let mut drive = Drive::new(vslam_of(32, 24));
+    assert_eq!(drive.exit(5, 4), Exit::Done);
+    drive.losses = vec!["the recording ends after 5 images".to_owned()];
+    assert_eq!(drive.exit(5, 4), Exit::DoneWithLoss);
+}
+
+#[test]
+fn a_calibration_may_be_given() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 5);
+    let camera = folder.path().join("camera.yaml");
+    std::fs::rename(&camera, folder.path().join("other.yaml")).unwrap();
+    let mut arguments = arguments(folder.path());
+    let error = run(&arguments).unwrap_err().to_string();
+    assert!(error.contains("or --calibration FILE"), "{error}");
+    arguments.calibration = Some(folder.path().join("other.yaml"));
+    assert_eq!(run(&arguments).unwrap(), Exit::Refused);
 }
 
 #[test]

@@ -1,8 +1,7 @@
 //! PGM and PPM in their binary kinds (`P5`, `P6`), as small cameras and their tools write them.
 
-use camera::Image;
-
-use super::{ImageError, SIDE_MAX_PX, grey_image, luma};
+use super::colour::{luma, luma_of_bytes};
+use super::{ImageError, Raster, RasterKind, SIDE_MAX_PX, Samples};
 
 /// What stands before the pixels.
 struct Header<'a> {
@@ -18,13 +17,9 @@ pub fn is_pnm(bytes: &[u8]) -> bool {
     matches!(bytes, [b'P', b'5' | b'6', separator, ..] if separator.is_ascii_whitespace())
 }
 
-pub fn size(bytes: &[u8]) -> Result<(usize, usize), ImageError> {
-    let header = read_header(bytes)?;
-    Ok((header.width, header.height))
-}
-
-/// Values are scaled to 0–255; what follows the first image is not looked at.
-pub fn decode(bytes: &[u8]) -> Result<Image, ImageError> {
+/// Values are scaled to what the header says is the largest; where that is all 16 bits, cameras
+/// with fewer say so too, and the values are kept. What follows the first image is not looked at.
+pub fn decode(bytes: &[u8]) -> Result<Raster, ImageError> {
     let Header {
         width,
         height,
@@ -40,24 +35,50 @@ pub fn decode(bytes: &[u8]) -> Result<Image, ImageError> {
             pixels.len()
         ))
     })?;
+    let wide = || values.as_chunks().0.iter().copied().map(u16::from_be_bytes);
     let scaled = |value: usize| ((value.min(value_max) * 255 + value_max / 2) / value_max) as u8;
-    let bytes: Vec<u8> = if value_size_bytes == 2 {
-        let pairs = values.chunks_exact(2);
-        pairs
-            .map(|pair| scaled(usize::from(u16::from_be_bytes([pair[0], pair[1]]))))
-            .collect()
-    } else {
-        values
-            .iter()
-            .map(|value| scaled(usize::from(*value)))
-            .collect()
+    let samples = match value_max {
+        65535 => Samples::Sixteen {
+            values: grey_of_sixteen(wide().collect(), channel_count),
+            bit_count: None,
+        },
+        256.. => {
+            let bytes = wide().map(|value| scaled(usize::from(value)));
+            Samples::Eight(grey_of_eight(bytes.collect(), channel_count))
+        }
+        _ => {
+            let bytes = values.iter().map(|value| scaled(usize::from(*value)));
+            Samples::Eight(grey_of_eight(bytes.collect(), channel_count))
+        }
     };
-    let grey = if channel_count == 3 {
-        bytes.chunks_exact(3).map(luma).collect()
-    } else {
-        bytes
+    let kind = match channel_count {
+        1 => RasterKind::Grey,
+        _ => RasterKind::Colour,
     };
-    Ok(grey_image(width, height, grey))
+    Ok(Raster {
+        width,
+        height,
+        samples,
+        kind,
+    })
+}
+
+fn grey_of_eight(values: Vec<u8>, channel_count: usize) -> Vec<u8> {
+    match channel_count {
+        1 => values,
+        _ => values.chunks_exact(3).map(luma_of_bytes).collect(),
+    }
+}
+
+fn grey_of_sixteen(values: Vec<u16>, channel_count: usize) -> Vec<u16> {
+    match channel_count {
+        1 => values,
+        _ => {
+            let pixels = values.chunks_exact(3);
+            let grey = pixels.map(|pixel| luma([pixel[0], pixel[1], pixel[2]]));
+            grey.collect()
+        }
+    }
 }
 
 fn read_header(bytes: &[u8]) -> Result<Header<'_>, ImageError> {
@@ -112,6 +133,7 @@ fn skip_blanks(mut bytes: &[u8]) -> &[u8] {
 
 #[cfg(test)]
 mod tests {
+    use super::super::BitDepth;
     use super::*;
 
     #[test]
@@ -124,8 +146,10 @@ mod tests {
         ];
         for (bytes, expected) in cases {
             assert!(is_pnm(bytes));
-            assert_eq!(size(bytes).unwrap(), (2, 1));
-            assert_eq!(decode(bytes).unwrap().pixels(), expected);
+            let raster = decode(bytes).unwrap();
+            assert_eq!(raster.size_px(), (2, 1));
+            let image = raster.into_image(BitDepth::FULL, false);
+            assert_eq!(image.pixels(), expected);
         }
     }
 

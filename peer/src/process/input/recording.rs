@@ -10,10 +10,10 @@ use geometry::Timestamp;
 use super::{Input, Source};
 use crate::config::VehicleConfig;
 use crate::dataset::{
-    CalibrationFile, Camera, CameraEvent, Dataset, DatasetArgument, DatasetCamera,
+    Camera, CameraEvent, Dataset, DatasetArgument, DatasetCamera, RecordingOptions,
 };
 
-/// Images of a folder, and between them the fixes of the same time.
+/// Images of a recording, and between them the fixes of the same time.
 pub struct Recording {
     camera: DatasetCamera,
     calibration: Calibration,
@@ -22,16 +22,18 @@ pub struct Recording {
     /// Lines of fixes that were left out.
     skipped: Option<Input>,
     pending: Option<CameraEvent>,
+    /// Of what should have been in the recording.
+    loss: Option<String>,
 }
 
 impl Recording {
-    /// - `calibration`: instead of the one that the recording brings.
-    pub fn open(
-        config: &VehicleConfig,
-        argument: &DatasetArgument,
-        calibration: Option<CalibrationFile>,
-    ) -> anyhow::Result<Self> {
-        let dataset = Dataset::open_calibrated(argument, calibration)?;
+    pub fn open(config: &VehicleConfig, argument: &DatasetArgument) -> anyhow::Result<Self> {
+        let options = RecordingOptions {
+            calibration: config.camera.calibration.clone(),
+            topic: config.camera.topic.clone(),
+            ..RecordingOptions::default()
+        };
+        let dataset = Dataset::open_with(argument, &options)?;
         let stamps = dataset.frames().iter().map(|frame| frame.captured_at);
         let (first, last) = (stamps.clone().min(), stamps.max());
         let mut fixes = VecDeque::new();
@@ -48,6 +50,7 @@ impl Recording {
             });
         }
         let calibration = dataset.calibration().clone();
+        let loss = (!dataset.losses().is_empty()).then(|| dataset.losses().join("; "));
         let camera = if config.estimation.threads > 1 {
             DatasetCamera::decoding_ahead(dataset)
         } else {
@@ -60,6 +63,7 @@ impl Recording {
             fixes,
             skipped,
             pending: None,
+            loss,
         })
     }
 }
@@ -78,7 +82,9 @@ impl Source for Recording {
             return Some(skipped);
         }
         let Some(event) = self.pending.take().or_else(|| self.camera.next_event()) else {
-            return self.fixes.pop_front().map(Input::Fix);
+            let fix = self.fixes.pop_front().map(Input::Fix);
+            let broken_off = |reason| Input::BrokenOff { reason };
+            return fix.or_else(|| self.loss.take().map(broken_off));
         };
         let captured_at = event.captured_at();
         let due = self
@@ -105,5 +111,32 @@ impl Source for Recording {
 
     fn is_recorded(&self) -> bool {
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_that_was_cut_off_breaks_off_after_its_images() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut film = b"YUV4MPEG2 W32 H24 F10:1 Cmono\nFRAME\n".to_vec();
+        film.resize(film.len() + 32 * 24, 90);
+        film.extend_from_slice(b"FRAME\nhalf");
+        std::fs::write(folder.path().join("film.y4m"), film).unwrap();
+        let camera = "intrinsics: [30, 30, 16, 12]\nresolution: [32, 24]\n";
+        std::fs::write(folder.path().join("own.yaml"), camera).unwrap();
+        let text = "id = 'a'\nout = 'o'\n[camera]\ndataset = 'd'\n";
+        let mut config: VehicleConfig = toml::from_str(text).unwrap();
+        config.camera.calibration = Some(folder.path().join("own.yaml"));
+        let film = folder.path().join("film.y4m").display().to_string();
+        let mut recording = Recording::open(&config, &film.parse().unwrap()).unwrap();
+        assert!(matches!(recording.next_input(), Some(Input::Frame { .. })));
+        let Some(Input::BrokenOff { reason }) = recording.next_input() else {
+            panic!("nothing is said of the rest");
+        };
+        assert!(reason.contains("ends after 1 images"), "{reason}");
+        assert!(recording.next_input().is_none());
     }
 }
