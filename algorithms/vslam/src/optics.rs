@@ -107,3 +107,51 @@ fn plane_bounds(camera: &CameraModel) -> (Vector2<f64>, Vector2<f64>) {
     }
     (lowest, highest)
 }
+
+#[cfg(test)]
+mod tests {
+    use camera::{Distortion, Intrinsics};
+
+    use super::*;
+
+    /// Whatever the lens, a keypoint's place on the ideal plane is as uncertain as the step there
+    /// that moves its image by the keypoint's noise, and it is projected back to where it was.
+    #[test]
+    fn every_lens_has_its_noise_on_the_ideal_plane() {
+        let intrinsics = Intrinsics {
+            fx: 300.0,
+            fy: 300.0,
+            cx: 320.0,
+            cy: 240.0,
+        };
+        let sphere = |xi, alpha| Distortion::DoubleSphere { xi, alpha };
+        for distortion in [
+            Distortion::None,
+            Distortion::FieldOfView { omega_rad: 0.9 },
+            sphere(-0.3, 0.6),
+            sphere(0.8, 0.2),
+            Distortion::Rational {
+                radial: [0.3, -0.1, 0.02, 0.2, 0.05, 0.01],
+                p1: 1e-3,
+                p2: -1e-3,
+            },
+        ] {
+            let camera = CameraModel::new(640, 480, intrinsics, distortion).unwrap();
+            let optics = Optics::new(camera.clone(), 0.7);
+            for pixel in [Vector2::new(320.0, 240.0), Vector2::new(500.0, 90.0)] {
+                let (position, sigma) = optics.undistort(&pixel, 0).unwrap();
+                let step_px = |axis: Vector2<f64>| {
+                    let step = 1e-5;
+                    let moved = camera.project(&(position + axis * step).push(1.0)).unwrap();
+                    (moved - pixel) / step
+                };
+                let (right, down) = (step_px(Vector2::x()), step_px(Vector2::y()));
+                let pixels_per_unit = right.perp(&down).abs().sqrt();
+                let error = sigma * pixels_per_unit / 0.7 - 1.0;
+                assert!(error.abs() < 1e-3, "{distortion:?} {pixel}: {error}");
+                let again = optics.project(&(position * 4.0).push(4.0)).unwrap();
+                assert!((again - position).norm() < 1e-9, "{distortion:?}");
+            }
+        }
+    }
+}
