@@ -101,11 +101,13 @@ impl Layout {
     }
 }
 
-/// The folder of the first camera: users name the recording or its `mav0`.
+/// The folder of the first camera: users name the recording, its `mav0`, or the camera itself.
 fn euroc_camera(folder: &Path) -> PathBuf {
     let nested = folder.join("mav0/cam0");
     if nested.is_dir() {
         nested
+    } else if folder.join("data").is_dir() {
+        folder.to_owned()
     } else {
         folder.join("cam0")
     }

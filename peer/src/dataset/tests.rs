@@ -318,7 +318,10 @@ fn reads_euroc_and_kitti_folders() {
         grey_png(32, 24, 7),
     );
     write(euroc.path(), "mav0/cam0/sensor.yaml", CAMERA);
-    assert!(open(&euroc.path().join("mav0"), "").is_ok());
+    for part in ["mav0", "mav0/cam0"] {
+        let dataset = open(&euroc.path().join(part), "").unwrap();
+        assert_eq!(dataset.layout(), Some(Layout::Euroc), "{part}");
+    }
     let dataset = open(euroc.path(), "").unwrap();
     assert_eq!(dataset.layout(), Some(Layout::Euroc));
     assert_eq!(
