@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::decode;
-use super::decode::Raster;
+use super::decode::{self, Raster};
 use super::mcap::{McapImages, McapRecording};
 use super::video::{self, Video, VideoImages};
 use super::{
@@ -26,7 +25,7 @@ pub enum ImageReader {
 }
 
 impl Source {
-    /// Also gives the path of the file or folder itself.
+    /// Also gives the path of the recording, which may be a file in the folder that is named.
     pub fn open(path: &Path, options: &RecordingOptions) -> Result<(Self, PathBuf), DatasetError> {
         if path.is_dir() {
             return match (Layout::detect(path), only_mcap(path)) {
@@ -49,12 +48,14 @@ impl Source {
     }
 
     fn open_file(path: &Path, options: &RecordingOptions) -> Result<Self, DatasetError> {
-        let path_of_error = || path.to_owned();
         let extension = path.extension().unwrap_or_default().to_string_lossy();
         let refused = |what| {
             let path = path.to_owned();
             Err(DatasetError::UnknownFile { what, path })
         };
+        if !path.is_file() {
+            return refused("a pipe or device; recordings are read more than once");
+        }
         match extension.to_ascii_lowercase().as_str() {
             "mcap" => {
                 let recording = McapRecording::open(path, options.topic.as_deref());
@@ -62,7 +63,7 @@ impl Source {
                     .map(Self::Mcap)
                     .map_err(|error| DatasetError::Mcap {
                         error,
-                        path: path_of_error(),
+                        path: path.to_owned(),
                     });
             }
             "bag" => {
@@ -87,7 +88,7 @@ impl Source {
         };
         video.map(Self::Video).map_err(|error| DatasetError::Video {
             error,
-            path: path_of_error(),
+            path: path.to_owned(),
         })
     }
 
@@ -130,8 +131,8 @@ impl Source {
                 Some(found) if found.info.is_calibrated() => {
                     return CalibrationFile::from_topic(found, path);
                 }
-                Some(_) => note = " (camera_info is there, and all zeros)",
-                None => note = " camera_info in the file,",
+                Some(_) => note = ", camera_info in the file (that which is there is empty)",
+                None => note = ", camera_info in the file",
             },
             Self::Video(_) => {}
         }
@@ -143,7 +144,7 @@ impl Source {
             Some(file) => CalibrationFile::read(&file),
             None => Err(DatasetError::NoCalibration {
                 expected: format!(
-                    "{}{note} {}",
+                    "{}{note}, {}",
                     beside.file_name().unwrap_or_default().to_string_lossy(),
                     CALIBRATION_NAMES.join(", ")
                 ),

@@ -397,7 +397,7 @@ fn a_recording_in_one_file_has_ranges_and_its_calibration_beside_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = film(folder.path(), "film.y4m");
     let error = refusal(&path);
-    let expected = "expected one of film.yaml camera.yaml, sensor.yaml";
+    let expected = "expected one of film.yaml, camera.yaml, sensor.yaml";
     assert!(error.contains(expected), "{error}");
     write(folder.path(), "camera.yaml", CAMERA);
     let expected = vec![(1, 100_000_000, 10), (2, 200_000_000, 20)];

@@ -55,9 +55,9 @@ pub fn read(node: &Node) -> Result<Calibration, CalibrationError> {
 }
 
 impl CameraInfo {
-    /// ROS publishes zeros for a camera that was never calibrated.
+    /// ROS leaves the focal length zero where a camera was never calibrated.
     pub fn is_calibrated(&self) -> bool {
-        self.camera_matrix.iter().any(|value| *value != 0.0)
+        self.camera_matrix.first().is_some_and(|fx| *fx != 0.0)
     }
 
     /// The camera at the body's origin, looking forward.

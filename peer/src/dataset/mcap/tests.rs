@@ -9,6 +9,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::dataset::decode::Samples;
+use crate::dataset::{Camera, CameraEvent, Dataset, DatasetCamera, DatasetError};
 
 mod wire;
 
@@ -316,6 +317,33 @@ fn the_calibration_is_that_of_the_images() {
     );
     check("/right/image_rect", Some(("/right/camera_info", 40.0)));
     check("/third/image", None);
+}
+
+#[test]
+fn a_folder_with_one_file_is_that_recording_and_brings_its_calibration() {
+    let open = |messages: &[TestMessage]| {
+        let (folder, _) = in_file(&write(messages));
+        let dataset = Dataset::open(&folder.path().display().to_string().parse().unwrap())?;
+        let mut camera = DatasetCamera::inline(dataset.clone());
+        let events = std::iter::from_fn(|| camera.next_event());
+        let shades = events.filter_map(|event| match event {
+            CameraEvent::Frame(frame) => Some(frame.image.get(5, 5)),
+            CameraEvent::Unreadable { .. } => None,
+        });
+        let fx = dataset.calibration().camera.intrinsics().fx;
+        Ok::<_, DatasetError>((fx, shades.collect::<Vec<u8>>()))
+    };
+    assert_eq!(open(&flight()).unwrap(), (30.0, vec![10, 20, 30]));
+    let mut uncalibrated = flight();
+    uncalibrated[0].4 = camera_info(Style::Cdr, 0.0);
+    let error = open(&uncalibrated).unwrap_err().to_string();
+    assert!(
+        error.contains("(that which is there is empty), camera.yaml"),
+        "{error}"
+    );
+    let error = open(&flight()[1..]).unwrap_err().to_string();
+    let expected = "one of flight.yaml, camera_info in the file, camera.yaml";
+    assert!(error.contains(expected), "{error}");
 }
 
 #[test]
