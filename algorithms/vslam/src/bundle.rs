@@ -95,6 +95,8 @@ pub struct BundleSettings {
     /// Stop when a step lowers the cost by less than this share of it. Noise makes up most of the
     /// cost: 1e-4 leaves weak directions, scale above all, where they started.
     pub cost_decrease_min: f64,
+    /// How much the first step is damped. To go on where another run ended: what that reported.
+    pub damping: f64,
     /// Whether [`BundleReport::point_covariances`] is filled.
     pub point_covariances: bool,
     /// Whether [`BundleReport::pose_covariances`] is filled.
@@ -108,6 +110,7 @@ impl Default for BundleSettings {
             iteration_count_max: 10,
             refit_iteration_count_max: 0,
             cost_decrease_min: 1e-6,
+            damping: 1e-4,
             point_covariances: true,
             pose_covariances: false,
         }
@@ -125,6 +128,8 @@ pub struct BundleReport {
     pub iteration_count: usize,
     /// Whether the last step gained too little to go on, and not the count that ended it.
     pub converged: bool,
+    /// What the next step of the robust fit would have been damped by.
+    pub damping: f64,
     /// For each observation, whether the result explains it.
     pub inliers: Vec<bool>,
     /// How many observations the result explains.

@@ -5,6 +5,7 @@
 
 mod align;
 mod close;
+mod global;
 mod graph;
 mod join;
 mod recognise;
@@ -22,6 +23,7 @@ use crate::bundle::Workspace;
 use crate::optics::Optics;
 use crate::places::Places;
 use crate::{Keyframe, KeyframeId, VslamMap};
+use global::GlobalAdjustment;
 use recognise::{Query, Recognition, recognise};
 
 /// The newest keyframes are no loop.
@@ -38,16 +40,55 @@ const DRIFT_LOG_SCALE_MAX: f64 = 1.1;
 /// With less drift than this (rad, ln, shares of the depth) there is nothing to correct.
 const DRIFT_MIN: f64 = 0.004;
 
+/// Steps of a global adjustment between two frames.
+const STEPS_PER_FRAME: usize = 1;
+
 /// Closes loops: what must be remembered from keyframe to keyframe.
 #[derive(Debug, Default)]
 pub(crate) struct Loops {
     /// The ends of the loops that were closed.
     links: Vec<(KeyframeId, KeyframeId)>,
     last_closed_at: Option<KeyframeId>,
+    adjusted_keyframes_max: usize,
+    /// What a loop or a join set off, until it is done.
+    adjustment: Option<GlobalAdjustment>,
     workspace: Workspace,
 }
 
 impl Loops {
+    /// - `adjusted_keyframes_max`: maps with more keyframes are not adjusted as a whole.
+    pub(crate) fn new(adjusted_keyframes_max: usize) -> Self {
+        Self {
+            adjusted_keyframes_max,
+            ..Self::default()
+        }
+    }
+
+    /// Goes on with the adjustment of the whole map that a loop or a join set off; whether there
+    /// was one.
+    pub(crate) fn adjust_further(&mut self, map: &mut VslamMap) -> bool {
+        let Some(mut adjustment) = self.adjustment.take() else {
+            return false;
+        };
+        if !adjustment.advance(map, STEPS_PER_FRAME) {
+            self.adjustment = Some(adjustment);
+        }
+        true
+    }
+
+    /// Adjusts the whole map at once.
+    pub(crate) fn adjust_all(&mut self, map: &mut VslamMap) {
+        self.begin_adjustment(map);
+        if let Some(mut adjustment) = self.adjustment.take() {
+            while !adjustment.advance(map, usize::MAX) {}
+        }
+    }
+
+    fn begin_adjustment(&mut self, map: &VslamMap) {
+        let affordable = map.keyframe_count() <= self.adjusted_keyframes_max;
+        self.adjustment = affordable.then(|| GlobalAdjustment::new(map));
+    }
+
     /// Looks whether a new keyframe shows a place that the map has already but does not know to be
     /// the same, and corrects the map if so; by how much lengths around the keyframe grew.
     pub(crate) fn close_at(
@@ -83,6 +124,7 @@ impl Loops {
             return None;
         }
         close::close(optics, map, &found, &self.links, &mut self.workspace);
+        self.begin_adjustment(map);
         if self.links.len() == LINKS_MAX {
             self.links.remove(0);
         }

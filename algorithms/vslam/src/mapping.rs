@@ -9,7 +9,7 @@ mod grow;
 
 use geometry::{Camera, Map, Transform};
 
-pub(crate) use adjust::{adjust_all, adjust_local};
+pub(crate) use adjust::{Selection, adjust_all, adjust_local, renew_point, stretches};
 pub(crate) use fuse::fuse;
 
 use crate::bundle::Workspace;

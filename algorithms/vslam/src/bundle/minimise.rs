@@ -35,6 +35,7 @@ pub fn adjust(
         settings,
     );
     report.iteration_count = robust.iteration_count;
+    report.damping = robust.damping;
     report.converged = robust.converged;
     report.cost_after = robust.cost;
     if settings.refit_iteration_count_max > 0 {
@@ -58,6 +59,7 @@ struct Minimum {
     cost: f64,
     iteration_count: usize,
     converged: bool,
+    damping: f64,
 }
 
 fn minimise(
@@ -71,8 +73,9 @@ fn minimise(
         cost: cost(problem, &workspace.sorted, &workspace.current, kernel),
         iteration_count: 0,
         converged: false,
+        damping: settings.damping,
     };
-    let mut damping = 1e-4;
+    let mut damping = settings.damping;
     let mut growth = 2.0;
     let mut stale = true;
     while minimum.iteration_count < iteration_count_max && !minimum.converged {
@@ -106,6 +109,7 @@ fn minimise(
                 step.predicted_decrease <= settings.cost_decrease_min * minimum.cost;
         }
     }
+    minimum.damping = damping;
     minimum
 }
 

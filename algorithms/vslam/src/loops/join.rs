@@ -51,6 +51,7 @@ impl Loops {
         let moved = close::companions(map, found.keyframe);
         close::join_points(optics, map, found, &moved);
         close::mend(optics, map, found, &moved, &mut self.workspace);
+        self.begin_adjustment(map);
         joined
     }
 }

@@ -1,6 +1,6 @@
 //! Bundle adjustment of a part of the map.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::directions::{self, range_prior, release_range};
 use super::grow::parallax_rad_min;
@@ -18,10 +18,24 @@ const BORDER_MAX: usize = 16;
 const SHARED_MIN: u32 = 15;
 
 /// Which keyframes and points of the map the rows of a problem are.
-struct Selection {
-    keyframes: Vec<KeyframeId>,
-    points: Vec<PointId>,
+#[derive(Clone, Debug)]
+pub(crate) struct Selection {
+    pub(crate) keyframes: Vec<KeyframeId>,
+    pub(crate) points: Vec<PointId>,
     fixed: Vec<bool>,
+}
+
+impl Selection {
+    /// Everything.
+    pub(crate) fn all(map: &VslamMap) -> Self {
+        let window: Vec<KeyframeId> = map.keyframes().map(crate::Keyframe::id).collect();
+        select(map, &window)
+    }
+
+    /// The problem with these rows, and the view that each of its observations is.
+    pub(crate) fn problem(&self, map: &VslamMap) -> (BundleProblem, Vec<ViewName>) {
+        problem(map, self)
+    }
 }
 
 /// Adjusts a keyframe and those that share most with it; returns the keyframes that could move.
@@ -56,8 +70,7 @@ pub(crate) fn adjust_all(
     settings: &BundleSettings,
     workspace: &mut Workspace,
 ) -> BundleReport {
-    let window: Vec<KeyframeId> = map.keyframes().map(crate::Keyframe::id).collect();
-    let selection = select(map, &window);
+    let selection = Selection::all(map);
     run(map, &selection, settings, workspace)
 }
 
@@ -121,22 +134,27 @@ fn run(
         }
     }
     for (id, covariance) in selection.points.iter().zip(&report.point_covariances) {
-        let expected = range_prior(map, *id, 0);
-        if let (Some(point), Some(adjusted)) = (map.point_mut(*id), covariance) {
-            point.covariance_in_map = match expected {
-                Some(prior) => directions::covariance(&prior, &point.position_in_map),
-                None => *adjusted,
-            };
-        }
-        update_parallax(map, *id);
-        release_range(map, *id, parallax_rad_min);
-        map.refresh_point(*id);
+        renew_point(map, *id, covariance.as_ref());
     }
     report
 }
 
+/// Brings what is known of a point up to date after it was adjusted.
+pub(crate) fn renew_point(map: &mut VslamMap, id: PointId, covariance: Option<&Matrix3<f64>>) {
+    let expected = range_prior(map, id, 0);
+    if let (Some(point), Some(adjusted)) = (map.point_mut(id), covariance) {
+        point.covariance_in_map = match expected {
+            Some(prior) => directions::covariance(&prior, &point.position_in_map),
+            None => *adjusted,
+        };
+    }
+    update_parallax(map, id);
+    release_range(map, id, parallax_rad_min);
+    map.refresh_point(id);
+}
+
 /// By how much the points that each keyframe sees moved away from it: the median of the ratios.
-fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f64> {
+pub(crate) fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f64> {
     let mut ratios: Vec<Vec<f64>> = vec![Vec::new(); before.poses.len()];
     for observation in &before.observations {
         let (pose_idx, point_idx) = (observation.pose_idx, observation.point_idx);
@@ -153,7 +171,7 @@ fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f64> {
     ratios.into_iter().map(median).collect()
 }
 
-type ViewName = (PointId, KeyframeId);
+pub(crate) type ViewName = (PointId, KeyframeId);
 
 fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewName>) {
     let mut problem = BundleProblem::default();

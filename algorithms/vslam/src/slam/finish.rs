@@ -11,13 +11,14 @@ const ASKED_MAX: usize = 60;
 
 impl Vslam {
     /// Does what is left when no frame follows: joins the maps that show the same places after
-    /// all, and looks for the frames without a pose in the largest of them.
+    /// all, adjusts the largest as a whole, and looks in it for the frames without a pose.
     ///
     /// The machine may go on afterwards, in that map.
     pub fn finish(&mut self) {
         self.map_frame();
         self.follow_largest();
         self.join_all();
+        self.loops.adjust_all(&mut self.map);
         let mut waiting = std::mem::take(&mut self.waiting);
         for frame in self.backfill.take_frames() {
             waiting.remember(&frame);

@@ -94,8 +94,11 @@ impl Vslam {
         insertion
     }
 
-    /// Looks for one of the frames that have no pose yet.
+    /// Does what can wait: the adjustment of the whole map, or one of the frames without a pose.
     fn look_back(&mut self) {
+        if self.loops.adjust_further(&mut self.map) {
+            return;
+        }
         let mut search = Search {
             optics: &self.optics,
             places: &self.places,

@@ -23,6 +23,9 @@ const FRAMES_MAX: usize = 300;
 const GROWTH_KEYFRAMES: usize = 3;
 /// Tries while the camera goes on; the end has one more.
 const TRIES_MAX: u32 = 4;
+/// Nobody follows on from a frame that is found late, and so nobody would notice a bad pose: more
+/// keypoints must agree than while tracking.
+const INLIERS_MIN: usize = 40;
 /// A frame with a pose this many frames away says where to look first.
 const NEAR_FRAMES: usize = 5;
 
@@ -185,6 +188,7 @@ fn locate(
         });
         track(search.optics, map, &motion, frame, search.rng).ok()
     });
+    let by_time = by_time.filter(|tracked| tracked.inlier_count >= INLIERS_MIN);
     let tracked = by_time.or_else(|| {
         frame.forget_points();
         let index = (search.optics, search.places);
