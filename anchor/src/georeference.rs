@@ -147,11 +147,12 @@ impl Georeferencer {
 
     /// Where the map stands, as far as fixes and path tell.
     pub fn solve(&self) -> Result<Georeference, NotObservable> {
-        let ties: Vec<&Tie> = self
+        let ties: Vec<Tie> = self
             .association
             .ties()
-            .filter(|tie| self.keyframes.contains_key(&tie.keyframe))
+            .filter_map(|tie| Some(tie.in_unit(self.keyframes.get(&tie.keyframe)?.unit)))
             .collect();
+        let ties: Vec<&Tie> = ties.iter().collect();
         if ties.len() < self.settings.fix_count_min {
             return Err(NotObservable::TooFewFixes { count: ties.len() });
         }
@@ -193,16 +194,18 @@ pub(crate) fn move_keyframes(
 ) {
     let named: BTreeMap<KeyframeId, &KeyframePose> =
         poses.iter().map(|pose| (pose.id, pose)).collect();
-    let moves: BTreeMap<KeyframeId, Transform<Map, Map>> = named
+    let moves: BTreeMap<KeyframeId, (Transform<Map, Map>, f64)> = named
         .iter()
         .filter_map(|(id, pose)| {
             let old = keyframes.get(id)?;
-            Some((*id, pose.map_from_camera * old.map_from_camera.inverse()))
+            let motion = pose.map_from_camera * old.map_from_camera.inverse();
+            Some((*id, (motion, pose.unit / old.unit)))
         })
         .collect();
     for (id, keyframe) in keyframes.iter_mut() {
         if let Some(pose) = named.get(id) {
             keyframe.map_from_camera = pose.map_from_camera;
+            keyframe.unit = pose.unit;
             continue;
         }
         let before = moves.range(..*id).next_back();
@@ -215,8 +218,9 @@ pub(crate) fn move_keyframes(
             }),
             (one, other) => one.or(other).map(|(_, motion)| motion),
         };
-        if let Some(motion) = nearest {
+        if let Some((motion, stretch)) = nearest {
             keyframe.map_from_camera = *motion * keyframe.map_from_camera;
+            keyframe.unit *= stretch;
         }
     }
 }

@@ -19,6 +19,8 @@ pub struct KeyframePose {
     pub id: KeyframeId,
     pub captured_at: Timestamp,
     pub map_from_camera: Transform<Map, Camera>,
+    /// By how much lengths around it have grown since it was made.
+    pub unit: f64,
 }
 
 /// A keyframe with all the map points that it sees.
@@ -76,6 +78,7 @@ impl From<&vslam::Keyframe> for KeyframePose {
             id: keyframe.id(),
             captured_at: keyframe.captured_at(),
             map_from_camera: keyframe.map_from_camera(),
+            unit: keyframe.unit(),
         }
     }
 }

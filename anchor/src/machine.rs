@@ -135,7 +135,10 @@ impl Anchor {
             }
             Event::KeyframesMoved(poses) => {
                 self.georeferencer.move_keyframes(&poses);
-                self.placer.move_keyframes(&poses);
+                if self.placer.move_keyframes(&poses) {
+                    // What was solved is in units that no longer hold.
+                    self.next_solve_at = None;
+                }
             }
             Event::Fix(fix) => self.take_fix(fix),
             Event::Tick => {}

@@ -166,6 +166,7 @@ impl Frame {
             id,
             captured_at: self.captured_at,
             map_from_camera: self.map_from_camera,
+            unit: 1.0,
         })
     }
 

@@ -270,6 +270,18 @@ impl Localizer {
         self.fuse_votes();
     }
 
+    /// States that lengths of the own map around a keyframe grew by this factor, as by a loop
+    /// closure. Say so before [`Localizer::keyframes_moved`], which brings the estimate up to date.
+    pub fn keyframe_stretched(&mut self, keyframe: KeyframeIdx, factor: f64) {
+        if !(factor.is_finite() && factor > 0.0) {
+            self.refused_input_count += 1;
+            return;
+        }
+        for anchor in self.anchors.values_mut() {
+            anchor.track.stretch_keyframe(keyframe, factor);
+        }
+    }
+
     /// Forgets all that was aligned, because the own map has started anew. Landmarks stay.
     pub fn forget_map(&mut self) {
         for anchor in self.anchors.values_mut() {

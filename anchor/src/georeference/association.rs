@@ -19,8 +19,23 @@ const PENDING_COUNT_MAX: usize = 256;
 pub(super) struct Tie {
     pub(super) keyframe: KeyframeId,
     pub(super) keyframe_from_camera: Transform<Camera, Camera>,
+    /// [`KeyframePose::unit`] of the keyframe at the time.
+    unit: f64,
     pub(super) up_in_camera: Option<Unit<Vector3<f64>>>,
     pub(super) fix: LocalFix,
+}
+
+impl Tie {
+    /// The same with lengths as they are in the map now, where the keyframe has this unit.
+    pub(super) fn in_unit(&self, unit: f64) -> Self {
+        let pose = &self.keyframe_from_camera;
+        let way = pose.translation() * (unit / self.unit);
+        Self {
+            keyframe_from_camera: Transform::new(*pose.rotation(), way),
+            unit,
+            ..self.clone()
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -141,7 +156,8 @@ impl Association {
         if gap_s > self.gap_max_s {
             return None;
         }
-        let reference = keyframes.get(&before.keyframe)?.map_from_camera;
+        let keyframe = keyframes.get(&before.keyframe)?;
+        let (reference, unit) = (keyframe.map_from_camera, keyframe.unit);
         let share = if exact {
             0.0
         } else {
@@ -155,6 +171,7 @@ impl Association {
         Some(Tie {
             keyframe: before.keyframe,
             keyframe_from_camera: reference.inverse() * pose,
+            unit,
             up_in_camera: if share < 0.5 {
                 before.up_in_camera
             } else {

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use geodesy::Datum;
 use geometry::{Camera, Chunk as ChunkFrame, Enu, Map, Similarity, umeyama};
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use protocol::{
     BoundingBox, ChunkNumber, ChunkPlacement, Manifest, MapId, Placement, PlacementPage, Ranges,
     Reference,
@@ -23,6 +23,8 @@ use crate::{AnchorSettings, Georeference, KeyframePose};
 const MOVE_MIN_M: f64 = 0.002;
 /// Before the map stands on the Earth: as a share of the chunk's typical depth.
 const MOVE_SHARE: f64 = 0.01;
+/// A change of a keyframe's unit (ln) that comes from a loop closure.
+const STRETCH_MIN: f64 = 0.005;
 /// The placement's stated uncertainty is published again when it changes by this factor.
 const SIGMA_FACTOR: f64 = 1.15;
 
@@ -41,6 +43,8 @@ pub(super) struct Placer {
 #[derive(Debug)]
 struct Placed {
     keyframe: KeyframeId,
+    /// [`KeyframePose::unit`] when it was cut: its content keeps that unit.
+    unit_at_cut: f64,
     typical_depth: f64,
     map_from_chunk: Similarity<Map, ChunkFrame>,
     /// The place that the fixes last gave it, kept when its keyframe leaves the window.
@@ -62,6 +66,7 @@ impl Placer {
         self.manifest_changed = true;
         let placed = Placed {
             keyframe: origin.id,
+            unit_at_cut: origin.unit,
             typical_depth,
             map_from_chunk: map_from_camera.relabel(),
             enu_from_chunk: None,
@@ -74,8 +79,14 @@ impl Placer {
         self.manifest_changed |= !replaced.is_empty();
     }
 
-    pub(super) fn move_keyframes(&mut self, poses: &[KeyframePose]) {
+    /// Whether the map grew or shrank somewhere by more than adjustments do all the time.
+    pub(super) fn move_keyframes(&mut self, poses: &[KeyframePose]) -> bool {
+        let stretched = poses.iter().any(|pose| {
+            let known = self.origins.get(&pose.id);
+            known.is_some_and(|known| (pose.unit / known.unit).ln().abs() > STRETCH_MIN)
+        });
         move_keyframes(&mut self.origins, poses);
+        stretched
     }
 
     /// What is to be said after an attempt to solve; `solved` only while the map is global.
@@ -119,8 +130,9 @@ impl Placer {
             let linear = placed.enu_from_camera.linear_matrix();
             let jacobian = d_point_d_tangent(&linear, &content);
             let spread = jacobian * placed.covariance * jacobian.transpose();
+            let camera_from_chunk = chunk.camera_from_chunk(self.origins.get(&chunk.keyframe));
             chunk.enu_from_chunk = Some(Wanted {
-                enu_from_chunk: placed.enu_from_camera.relabel(),
+                enu_from_chunk: placed.enu_from_camera * camera_from_chunk,
                 sigma_m: (spread.trace() / 3.0).max(0.0).sqrt(),
             });
         }
@@ -213,13 +225,14 @@ impl Placer {
             if chunk.enu_from_chunk.is_some() {
                 continue;
             }
+            let map_from_camera: Similarity<Map, Camera> = origin.map_from_camera.into();
+            let map_from_chunk = map_from_camera * chunk.camera_from_chunk(Some(origin));
             let moved = probes(chunk.typical_depth)
-                .map(|probe| (chunk.map_from_chunk * probe - origin.map_from_camera * probe).norm())
+                .map(|probe| (chunk.map_from_chunk * probe - map_from_chunk * probe).norm())
                 .into_iter()
                 .fold(0.0, f64::max);
             if moved > MOVE_SHARE * chunk.typical_depth {
-                let map_from_camera: Similarity<Map, Camera> = origin.map_from_camera.into();
-                chunk.map_from_chunk = map_from_camera.relabel();
+                chunk.map_from_chunk = map_from_chunk;
                 self.changed_pages.insert(number.page());
             }
         }
@@ -264,6 +277,13 @@ impl Placer {
 }
 
 impl Placed {
+    /// The chunk's content is frozen in the unit that the map had there when it was cut; a loop
+    /// closure changes that unit.
+    fn camera_from_chunk(&self, origin: Option<&KeyframePose>) -> Similarity<Camera, ChunkFrame> {
+        let stretch = origin.map_or(1.0, |origin| origin.unit / self.unit_at_cut);
+        Similarity::new(stretch, UnitQuaternion::identity(), Vector3::zeros())
+    }
+
     /// How far what is published of this chunk is from where it belongs, and how certain that is.
     fn error_m(&self, enu_from_map: &Similarity<Enu, Map>) -> Option<(f64, f64)> {
         let wanted = self.enu_from_chunk?;

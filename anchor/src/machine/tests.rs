@@ -1,5 +1,7 @@
 //! The state machine over simulated flights.
 
+mod loop_closure;
+
 use geodesy::{Datum, Geodetic};
 use geometry::Timestamp;
 use nalgebra::{Matrix3, Vector3};

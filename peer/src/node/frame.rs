@@ -89,7 +89,11 @@ impl Node {
         };
         let mapped = self.slam.map_frame();
         match &mut self.role {
-            Role::Peer(role) => role.follow_map(&mapped, self.slam.map()),
+            Role::Peer(role) => {
+                // Mapping may have joined the map to another.
+                role.enter_map(mapped.map_id);
+                role.follow_map(&mapped, self.slam.map());
+            }
             Role::Anchor(role) => {
                 let mut outlet = Outlet {
                     shelf: &mut self.shelf,
@@ -98,6 +102,7 @@ impl Node {
                     effects,
                     now,
                 };
+                role.enter_map(mapped.map_id, self.slam.map(), &mut outlet);
                 role.follow_map((&report, &mapped), self.slam.map(), &mut outlet);
             }
         }

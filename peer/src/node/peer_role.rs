@@ -25,6 +25,9 @@ pub struct PeerRole {
     /// The least stated sigma of a fix of any anchor (m).
     fix_sigma_m: Option<f64>,
     own_map: Option<vslam::MapId>,
+    map_revision: u64,
+    /// [`Keyframe::unit`] of the own keyframes when they were last looked at.
+    units: BTreeMap<KeyframeId, f64>,
     last_verdict: Option<Verdict>,
     datum_refusal: Option<String>,
     chunk_count: usize,
@@ -41,6 +44,8 @@ impl PeerRole {
             datum: None,
             fix_sigma_m: None,
             own_map: None,
+            map_revision: 0,
+            units: BTreeMap::new(),
             last_verdict: None,
             datum_refusal: None,
             chunk_count: 0,
@@ -116,6 +121,7 @@ impl PeerRole {
     pub fn enter_map(&mut self, map_id: vslam::MapId) {
         if self.own_map.is_some_and(|known| known != map_id) {
             self.localizer.forget_map();
+            self.units.clear();
             self.last_verdict = None;
         }
         self.own_map = Some(map_id);
@@ -123,14 +129,34 @@ impl PeerRole {
 
     /// Follows the own map, and registers a new keyframe.
     pub fn follow_map(&mut self, mapped: &MappingReport, map: &VslamMap) {
-        let Some(keyframe) = mapped.new_keyframe.and_then(|id| map.keyframe(id)) else {
+        let corrected = self.map_revision != mapped.map_revision;
+        let new_keyframe = mapped.new_keyframe.and_then(|id| map.keyframe(id));
+        if corrected {
+            self.map_revision = mapped.map_revision;
+            self.follow_stretches(map);
+        }
+        if corrected || new_keyframe.is_some() {
+            self.units = map.keyframes().map(|one| (one.id(), one.unit())).collect();
+            let poses = map.keyframes();
+            let poses = poses.map(|known| (keyframe_idx(known.id()), known.map_from_camera()));
+            self.localizer.keyframes_moved(poses);
+        }
+        let Some(keyframe) = new_keyframe else {
             return;
         };
-        let poses = map.keyframes();
-        let poses = poses.map(|known| (keyframe_idx(known.id()), known.map_from_camera()));
-        self.localizer.keyframes_moved(poses);
         let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));
         self.last_verdict = Some(alignment.verdict);
+    }
+
+    /// A loop closure changes the scale of the own map, and with it what alignments said of it.
+    fn follow_stretches(&mut self, map: &VslamMap) {
+        for keyframe in map.keyframes() {
+            if let Some(unit) = self.units.get(&keyframe.id()) {
+                let factor = keyframe.unit() / unit;
+                let idx = keyframe_idx(keyframe.id());
+                self.localizer.keyframe_stretched(idx, factor);
+            }
+        }
     }
 
     pub fn estimate(&self, now: Timestamp) -> Option<Estimate> {

@@ -375,6 +375,35 @@ fn moved_keyframes_move_the_alignment() {
     assert!(difference.norm() < 1e-9, "{difference}");
 }
 
+/// Goal: a loop closure that makes the own map larger leaves the vehicle where it is. Method: all
+/// of the own map grows by a third; the alignment shrinks by as much.
+#[test]
+fn stretched_keyframes_scale_the_alignment() {
+    let mut scene = scene(11, 0.0);
+    scene.publish(&AnchorSettings::default());
+    let mut keyframes = Vec::new();
+    for step in 0..10 {
+        scene.flyer.fly_to(step);
+        let keyframe = scene.flyer.keyframe(&scene.world);
+        scene.localizer.observe_keyframe(&keyframe);
+        keyframes.push((keyframe.id, keyframe.map_from_camera));
+    }
+    let before = scene.estimate().unwrap().enu_from_map;
+    let factor = 4.0 / 3.0;
+    for (id, _) in &keyframes {
+        scene.localizer.keyframe_stretched(*id, factor);
+    }
+    let grown = keyframes.into_iter().map(|(id, map_from_camera)| {
+        let way = map_from_camera.translation() * factor;
+        (id, Transform::new(*map_from_camera.rotation(), way))
+    });
+    scene.localizer.keyframes_moved(grown);
+    let after = scene.estimate().unwrap().enu_from_map;
+    let growth = Similarity::<Map, Map>::new(factor, UnitQuaternion::identity(), Vector3::zeros());
+    let difference = (before.inverse() * after * growth).log();
+    assert!(difference.norm() < 1e-6, "{difference}");
+}
+
 #[test]
 fn equal_input_gives_equal_estimates() {
     let run = || {

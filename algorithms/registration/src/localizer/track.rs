@@ -395,6 +395,14 @@ impl Track {
         self.state = filter(self.entries.iter(), anchor, settings);
     }
 
+    pub fn stretch_keyframe(&mut self, keyframe: KeyframeIdx, factor: f64) {
+        for entry in self.entries.iter_mut().chain(&mut self.waiting) {
+            if entry.keyframe == keyframe {
+                entry.stretch(factor);
+            }
+        }
+    }
+
     /// Whether the keyframe is part of the track and has moved.
     pub fn move_keyframe(
         &mut self,
@@ -409,6 +417,15 @@ impl Track {
             }
         }
         found
+    }
+}
+
+impl Entry {
+    /// Keeps what was located, of a camera whose map is larger now by this factor.
+    fn stretch(&mut self, factor: f64) {
+        let old = &self.located.chunk_from_camera;
+        self.located.chunk_from_camera =
+            Similarity::new(old.scale() / factor, *old.rotation(), *old.translation());
     }
 }
 

@@ -63,6 +63,12 @@ impl Keyframe {
         &self.camera_from_map
     }
 
+    /// By how much lengths around it have grown since it was made, as by a loop closure: what was
+    /// noted in the map's unit then is so much longer now.
+    pub fn unit(&self) -> f64 {
+        self.unit
+    }
+
     /// The optical centre.
     pub fn centre_in_map(&self) -> Vector3<f64> {
         -(self.camera_from_map.rotation().inverse() * self.camera_from_map.translation())
