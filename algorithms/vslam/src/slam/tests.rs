@@ -202,6 +202,35 @@ fn maps_before_and_after_a_long_blackout_become_one() {
 }
 
 #[test]
+fn frames_of_a_place_that_is_mapped_later_are_found_then() {
+    // The camera looks for four frames at what it reaches only six seconds later.
+    let world = World::new(7);
+    let ahead = 40..44;
+    let step = |frame: usize| match frame {
+        0..40 => 2 * frame,
+        40..44 => 2 * (frame + 90),
+        _ => 2 * (frame - 4),
+    };
+    let mut slam = machine();
+    let mut lost = Vec::new();
+    for frame in 0..142 {
+        let (report, _) = slam.process(&world.render(&pose(step(frame))), stamp(frame));
+        if matches!(report.state, TrackingState::Lost { .. }) {
+            lost.push(frame);
+        }
+    }
+    assert!(ahead.clone().all(|frame| lost.contains(&frame)), "{lost:?}");
+    slam.finish();
+    let (frames, worst) = found(&slam, |frame| pose(step(frame)).position);
+    assert!(
+        ahead.clone().all(|frame| frames.contains(&frame)),
+        "{frames:?}"
+    );
+    // A map drifts by about a hundredth of the way, which is 8 m.
+    assert!(worst < 0.1, "{worst} m");
+}
+
+#[test]
 fn two_runs_agree_bit_for_bit() {
     let (mut first, mut second) = (machine(), machine());
     assert_eq!(
