@@ -14,6 +14,8 @@ use crate::{KeyframeId, PointId, VslamMap};
 const WINDOW_MAX: usize = 12;
 /// Keyframes that hold its border, at most; those that see most come first.
 const BORDER_MAX: usize = 16;
+/// Fewer points do not tell by how much the map around a keyframe was stretched.
+const STRETCH_POINTS_MIN: usize = 10;
 /// A keyframe joins the window if it shares this many points.
 const SHARED_MIN: u32 = 15;
 
@@ -156,8 +158,16 @@ pub(crate) fn renew_point(map: &mut VslamMap, id: PointId, covariance: Option<&M
 /// By how much the points that each keyframe sees moved away from it: the median of the ratios.
 pub(crate) fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f64> {
     let mut ratios: Vec<Vec<f64>> = vec![Vec::new(); before.poses.len()];
+    let mut has_range = vec![true; before.points.len()];
+    for prior in &before.range_priors {
+        has_range[prior.point_idx] = false;
+    }
     for observation in &before.observations {
         let (pose_idx, point_idx) = (observation.pose_idx, observation.point_idx);
+        // Where only directions are known, distances say nothing of the scale.
+        if !has_range[point_idx] {
+            continue;
+        }
         let depth = |problem: &BundleProblem| {
             (problem.poses[pose_idx].camera_from_map * problem.points[point_idx]).z
         };
@@ -166,7 +176,10 @@ pub(crate) fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f6
     let median = |mut ratios: Vec<f64>| {
         ratios.retain(|ratio| *ratio > 0.0 && ratio.is_finite());
         ratios.sort_by(f64::total_cmp);
-        ratios.get(ratios.len() / 2).copied().unwrap_or(1.0)
+        let median = ratios.get(ratios.len() / 2).copied();
+        median
+            .filter(|_| ratios.len() >= STRETCH_POINTS_MIN)
+            .unwrap_or(1.0)
     };
     ratios.into_iter().map(median).collect()
 }
