@@ -11,7 +11,7 @@ mod lights;
 mod sensor;
 mod tiles;
 
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use camera::{CameraModel, Image};
 use geometry::{Body, Camera, Enu, Transform};
@@ -35,15 +35,36 @@ pub struct Scene {
     /// In the frame of the body that they belong to.
     hulls: Vec<Vec<Panel>>,
     /// Of all panels, then of all hulls.
-    pictures: Vec<Picture>,
+    pictures: Vec<LazyPicture>,
+}
+
+/// A picture that is painted when it is first seen.
+type LazyPicture = LazyLock<Picture, Box<dyn FnOnce() -> Picture + Send>>;
+
+fn lazy(paint: impl FnOnce() -> Picture + Send + 'static) -> LazyPicture {
+    LazyLock::new(Box::new(paint))
 }
 
 impl Scene {
-    /// Paints every panel; this takes about a second.
+    /// Paints every panel; this takes about a second for a lab.
     pub fn paint(world: &World) -> Self {
-        let paint_panel = |panel| Picture::new(&paint(world, panel));
+        let scene = Self::painted_when_seen(world);
+        for picture in &scene.pictures {
+            LazyLock::force(picture);
+        }
+        scene
+    }
+
+    /// Paints each panel when a camera first sees it: for worlds of which a route shows a part.
+    /// The pictures are the same, but a frame takes longer while they are painted.
+    pub fn painted_when_seen(world: &World) -> Self {
+        let world = Arc::new(world.clone());
+        let paint_panel = |panel_idx: usize| {
+            let world = Arc::clone(&world);
+            lazy(move || Picture::new(&paint(&world, &world.panels[panel_idx])))
+        };
         Self {
-            pictures: world.panels.iter().map(paint_panel).collect(),
+            pictures: (0..world.panels.len()).map(paint_panel).collect(),
             panels: world.panels.clone(),
             hulls: Vec::new(),
         }
@@ -53,7 +74,12 @@ impl Scene {
     pub fn with_hulls<'a>(mut self, hulls: impl IntoIterator<Item = &'a [Cuboid]>) -> Self {
         for cuboids in hulls {
             let panels = hull_panels(cuboids, self.hulls.len() as u64);
-            let painted = panels.iter().map(|panel| Picture::new(&paint_hull(panel)));
+            let painted = panels.iter().map(|panel| {
+                let panel = panel.clone();
+                let picture = lazy(move || Picture::new(&paint_hull(&panel)));
+                LazyLock::force(&picture);
+                picture
+            });
             self.pictures.extend(painted);
             self.hulls.push(panels);
         }

@@ -35,7 +35,7 @@ fn scene(shade: impl Fn(f64, f64) -> f32) -> Arc<Scene> {
     Arc::new(Scene {
         panels: vec![panel],
         hulls: Vec::new(),
-        pictures: vec![Picture::new(&canvas)],
+        pictures: vec![lazy(move || Picture::new(&canvas))],
     })
 }
 
@@ -135,7 +135,9 @@ fn edges_cover_pixels_by_their_area() {
     scene_of_card.panels[1].corner.x = 1.6;
     let mut black = Canvas::new(4.0, 3.0, 1.0);
     black.paint_each(&|_, _| 0.0);
-    scene_of_card.pictures.push(Picture::new(&black));
+    scene_of_card
+        .pictures
+        .push(lazy(move || Picture::new(&black)));
     let mut renderer = Renderer::new(Arc::new(scene_of_card), &camera, CLEAN);
     let shot = shot(Vector3::new(0.05, 0.1, 0.3));
     let image = renderer.render(&shot);

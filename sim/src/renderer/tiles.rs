@@ -1,5 +1,6 @@
 //! Which facets each tile of pixels sees, and what their pixels look like.
 
+use super::LazyPicture;
 use super::TILE_PX;
 use super::facets::{Cover, EDGE_TOLERANCE, Facet, Form};
 use super::lens::{Lens, Window};
@@ -110,7 +111,7 @@ impl Tiles {
     pub fn shade(
         &mut self,
         facets: &[Facet],
-        pictures: &[Picture],
+        pictures: &[LazyPicture],
         lens: &Lens,
         shades: &mut [f32],
     ) {
@@ -190,7 +191,7 @@ impl Contender {
 struct SharedTile<'a> {
     contenders: &'a [Contender],
     facets: &'a [Facet],
-    pictures: &'a [Picture],
+    pictures: &'a [LazyPicture],
     lens: &'a Lens,
 }
 
