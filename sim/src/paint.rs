@@ -21,6 +21,7 @@ pub fn paint(world: &World, panel: &Panel) -> Canvas {
     let mut canvas = Canvas::new(panel.width_m, panel.height_m, texel_m(panel.finish));
     finish::apply(panel.finish, &mut canvas, &mut rng);
     let light = |u_m: f64, v_m: f64| brightness(world, panel, &panel.point(u_m, v_m)) as f32;
+    canvas.fade(world.contrast);
     canvas.light(&light);
     canvas
 }
@@ -38,10 +39,12 @@ pub fn paint_hull(panel: &Panel) -> Canvas {
 /// The edge of a texel: fine enough that a camera at half a metre sees detail.
 fn texel_m(finish: Finish) -> f64 {
     match finish {
-        Finish::Ceiling => 0.008,
-        Finish::Floor => 0.005,
-        Finish::BrickWall | Finish::PaintedWall => 0.004,
+        Finish::Ceiling | Finish::Carpet => 0.008,
+        Finish::Floor | Finish::Plaster => 0.005,
+        Finish::BrickWall | Finish::PaintedWall | Finish::Door | Finish::Window => 0.004,
         Finish::Wood | Finish::Metal | Finish::Cardboard | Finish::Crate => 0.003,
+        Finish::Poster => 0.002,
+        Finish::Board => 0.001,
     }
 }
 

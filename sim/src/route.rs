@@ -1,8 +1,10 @@
 //! Where a vehicle is at any time: a smooth path, and the wobble of what carries it.
 
-use geometry::{Body, Enu, Transform, so3};
+use geometry::{Body, Camera, Enu, Transform, so3};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, RngExt};
+
+use crate::renderer::Shot;
 
 /// A place on the way: position in the site frame and heading, unwrapped.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,6 +28,21 @@ pub struct Motion {
     pub site_from_body: Transform<Enu, Body>,
     pub velocity_in_site: Vector3<f64>,
     pub rotation_rate_in_body: Vector3<f64>,
+}
+
+impl Motion {
+    /// What a camera that moves like this sees at plain exposure; the body's origin is its centre.
+    pub fn shot(&self, body_from_camera: &Transform<Body, Camera>) -> Shot {
+        let site_from_camera = self.site_from_body * *body_from_camera;
+        let camera_from_body = body_from_camera.rotation().inverse();
+        Shot {
+            site_from_camera,
+            velocity_in_camera: site_from_camera.rotation().inverse() * self.velocity_in_site,
+            rotation_rate_in_camera: camera_from_body * self.rotation_rate_in_body,
+            gain: 1.0,
+            noise_seed: 0,
+        }
+    }
 }
 
 /// Velocities are differences over twice this time; wobble is slow against it.

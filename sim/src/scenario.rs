@@ -79,6 +79,11 @@ pub struct Vehicle {
 /// The clock of every vehicle says this when the routes begin.
 const START: Timestamp = Timestamp::from_nanoseconds(10_000_000_000);
 
+/// What every clock of a simulation says at a time since the start.
+pub fn timestamp_at(time_s: f64) -> Timestamp {
+    START.after(Duration::from_secs_f64(time_s.max(0.0)))
+}
+
 impl Scenario {
     pub fn new(name: ScenarioName, seed: u64) -> Self {
         match name {
@@ -125,7 +130,7 @@ impl Scenario {
 
     /// What a vehicle's clock says at a time since the start.
     pub fn timestamp(&self, time_s: f64) -> Timestamp {
-        START.after(Duration::from_secs_f64(time_s.max(0.0)))
+        timestamp_at(time_s)
     }
 
     /// Where a vehicle's camera is on its route.
@@ -143,17 +148,11 @@ impl Scenario {
 
     /// All that a vehicle's camera needs for a frame when the vehicle moves like this.
     pub fn shot_in_motion(&self, vehicle_idx: usize, frame_idx: usize, motion: &Motion) -> Shot {
-        let body_from_camera = &self.vehicles[vehicle_idx].description.body_from_camera;
-        let site_from_camera = motion.site_from_body * *body_from_camera;
-        let camera_from_body = body_from_camera.rotation().inverse();
         let phase_rad = (self.seed % 64) as f64 + 2.0 * vehicle_idx as f64;
         Shot {
-            site_from_camera,
-            // The body's origin is the camera's centre.
-            velocity_in_camera: site_from_camera.rotation().inverse() * motion.velocity_in_site,
-            rotation_rate_in_camera: camera_from_body * motion.rotation_rate_in_body,
             gain: gain_at(self.frame_time_s(frame_idx), phase_rad),
             noise_seed: self.seed.rotate_left(40) ^ ((vehicle_idx as u64) << 32) ^ frame_idx as u64,
+            ..motion.shot(&self.vehicles[vehicle_idx].description.body_from_camera)
         }
     }
 
@@ -212,7 +211,7 @@ fn lab_vehicles() -> Vec<VehicleDescription> {
     ]
 }
 
-const DRONE_PITCH_DOWN_RAD: f64 = 0.14;
+pub const DRONE_PITCH_DOWN_RAD: f64 = 0.14;
 /// To the right, and back a little: where it turns the first corner it still sees the wall that
 /// the drones look at.
 const GROUND_VEHICLE_YAW_RAD: f64 = -std::f64::consts::FRAC_PI_2 - 0.2;
@@ -220,7 +219,7 @@ const GROUND_VEHICLE_YAW_RAD: f64 = -std::f64::consts::FRAC_PI_2 - 0.2;
 const GROUND_VEHICLE_PITCH_DOWN_RAD: f64 = -0.25;
 
 /// The paper's drone, eq. 7. Its o_y lies far below the middle of the image and is kept.
-fn drone_camera() -> CameraModel {
+pub fn drone_camera() -> CameraModel {
     let intrinsics = Intrinsics {
         fx: 180.9,
         fy: 180.94,
@@ -255,8 +254,9 @@ fn ground_vehicle_camera() -> CameraModel {
     CameraModel::new(640, 360, intrinsics, distortion).expect("the constants are a camera")
 }
 
-/// `body_from_camera` of a camera turned to the left by `yaw_rad`, then tilted down.
-fn mounted(yaw_rad: f64, pitch_down_rad: f64) -> Transform<Body, Camera> {
+/// `body_from_camera` of a camera in the body's origin, turned to the left by `yaw_rad`, then
+/// tilted down.
+pub fn mounted(yaw_rad: f64, pitch_down_rad: f64) -> Transform<Body, Camera> {
     // Camera x (right) is body −y, camera y (down) is body −z, camera z (forward) is body x.
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let optical = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));

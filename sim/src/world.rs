@@ -1,24 +1,36 @@
 //! A room and what stands in it, as rectangles with a finish.
 
+mod board;
+mod corridor;
 mod furnish;
+mod hang;
+mod office;
 mod panel;
+mod parlour;
+mod room;
 mod visibility;
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+pub use board::{BOARD_HEIGHT_M, BOARD_WALL_M};
+pub use corridor::corridor_outline_m;
+pub use office::{Office, Stop};
 pub use panel::{Cuboid, Finish, Panel};
+use room::Room;
 pub use visibility::Surroundings;
 
-/// A seeded room. The site frame's origin is on the floor in the middle, x along the longer side,
+/// Seeded rooms. The site frame's origin is on the floor in the middle, x along the longer side,
 /// z up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct World {
-    /// Length, width and height of the room.
+    /// Length, width and height of the room, or of the box around all rooms.
     pub size_m: Vector3<f64>,
     pub panels: Vec<Panel>,
     pub lamps: Vec<Vector3<f64>>,
+    /// How much of the finishes' contrast is painted, from 0 to 1.
+    pub contrast: f32,
 }
 
 /// Furniture stands at most this far into the room from any wall.
@@ -38,8 +50,10 @@ impl World {
             size_m,
             panels: room(&size_m, &mut rng),
             lamps: lamps(&size_m, &mut rng),
+            contrast: 1.0,
         };
-        furnish::along_walls(&mut world, &mut rng);
+        let whole = Room::closed(Vector2::zeros(), size_m);
+        furnish::along_walls(&mut world, &whole, &mut rng);
         furnish::pile(&mut world, &mut rng);
         world
     }

@@ -211,6 +211,17 @@ impl Canvas {
         self.fill(&figure, ink);
     }
 
+    /// Leaves this share of the contrast, about the mean.
+    pub fn fade(&mut self, contrast: f32) {
+        if contrast >= 1.0 {
+            return;
+        }
+        let mean = self.shades.iter().sum::<f32>() / self.shades.len() as f32;
+        for shade in &mut self.shades {
+            *shade = mean + contrast * (*shade - mean);
+        }
+    }
+
     /// Multiplies by `light(u_m, v_m)`, which is sampled every 0.25 m.
     pub fn light(&mut self, light: &impl Fn(f64, f64) -> f32) {
         let step = ((0.25 / self.texel_m) as usize).max(1);

@@ -171,7 +171,7 @@ fn picture(canvas: &mut Canvas, area: &Area, size_m: f32, rng: &mut impl Rng) {
 }
 
 /// A field of square cells, dark or not.
-fn code(canvas: &mut Canvas, area: &Area, shade: f32, rng: &mut impl Rng) {
+pub fn code(canvas: &mut Canvas, area: &Area, shade: f32, rng: &mut impl Rng) {
     let [width_m, height_m] = area.extents();
     let cell_m = rng.random_range(0.02..0.05);
     let count = |extent_m: f32| (extent_m / cell_m) as usize;

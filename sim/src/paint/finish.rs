@@ -1,5 +1,7 @@
 //! How each finish is made of figures.
 
+mod building;
+
 use rand::{Rng, RngExt};
 
 use super::canvas::{Area, Canvas, Ink};
@@ -22,6 +24,12 @@ pub fn apply(finish: Finish, canvas: &mut Canvas, rng: &mut impl Rng) {
         Finish::Metal => metal(canvas, rng),
         Finish::Cardboard => cardboard(canvas, rng),
         Finish::Crate => crate_face(canvas, rng),
+        Finish::Plaster => building::plaster(canvas, rng),
+        Finish::Door => building::door(canvas, rng),
+        Finish::Window => building::window(canvas, rng),
+        Finish::Poster => building::sheet(canvas, rng),
+        Finish::Carpet => building::carpet(canvas, rng),
+        Finish::Board => building::board(canvas, rng),
     }
 }
 

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use rand::{Rng, RngExt};
 
+use super::room::{Room, Wall};
 use super::{Cuboid, FURNITURE_DEPTH_M, Finish, World};
 
 /// A place along a wall: `along` and `inward` are unit vectors, `start` is on the floor.
@@ -16,31 +17,58 @@ struct Place {
 /// Free floor in front of each corner of the room.
 const CORNER_M: f64 = 0.75;
 
-/// Puts one piece after the other along each wall, with gaps that leave the wall in sight.
-pub fn along_walls(world: &mut World, rng: &mut impl Rng) {
-    for wall_idx in 0..4 {
-        let yaw_rad = f64::from(wall_idx) * std::f64::consts::FRAC_PI_2;
-        let (sine, cosine) = (yaw_rad.sin().round(), yaw_rad.cos().round());
-        let along = Vector3::new(cosine, sine, 0.0);
-        let inward = Vector3::new(-sine, cosine, 0.0);
-        let half = world.size_m * 0.5;
-        let half_length = along.abs().dot(&half);
-        let corner = -along * half_length - inward * inward.abs().dot(&half);
+/// Puts one piece after the other along each wall of a room, with gaps that leave the wall in
+/// sight, and none before an opening.
+pub fn along_walls(world: &mut World, room: &Room, rng: &mut impl Rng) {
+    for wall in room.walls() {
         let mut cursor_m = CORNER_M + rng.random_range(0.0..0.4);
         loop {
             let width_m = rng.random_range(0.6..1.5);
-            if cursor_m + width_m > 2.0 * half_length - CORNER_M {
+            if cursor_m + width_m > wall.length_m - CORNER_M {
                 break;
             }
+            if let Some(clear_m) = wall.blocked_until_m(cursor_m, cursor_m + width_m) {
+                cursor_m = clear_m;
+                continue;
+            }
             let place = Place {
-                start: corner + along * cursor_m,
-                along,
-                inward,
-                yaw_rad,
+                start: wall.start + wall.along * cursor_m,
+                along: wall.along,
+                inward: wall.inward,
+                yaw_rad: wall.yaw_rad,
             };
             furnish(world, &place, width_m, rng);
             cursor_m += width_m + rng.random_range(0.25..0.9);
         }
+    }
+}
+
+/// What stands in corridors: now and then a flat cupboard or a stack of boxes.
+pub fn along_corridor(world: &mut World, wall: &Wall<'_>, gap_m: f64, rng: &mut impl Rng) {
+    let mut cursor_m = CORNER_M + rng.random_range(0.0..gap_m);
+    while cursor_m + 1.5 < wall.length_m - CORNER_M {
+        let width_m = rng.random_range(0.5..1.3);
+        if let Some(clear_m) = wall.blocked_until_m(cursor_m, cursor_m + width_m) {
+            cursor_m = clear_m;
+            continue;
+        }
+        let extents = Vector3::new(
+            width_m,
+            rng.random_range(0.25..0.4),
+            rng.random_range(0.45..1.9),
+        );
+        let middle = wall.start + wall.along * (cursor_m + 0.5 * width_m);
+        let bottom = middle + wall.inward * (0.5 * extents.y + 0.02);
+        let cupboard = Cuboid::standing(bottom, extents, wall.yaw_rad);
+        let finishes = [
+            Finish::Metal,
+            Finish::Wood,
+            Finish::Crate,
+            Finish::Cardboard,
+        ];
+        let finish = finishes[rng.random_range(0..finishes.len())];
+        add(world, cupboard, finish, rng);
+        cursor_m += width_m + rng.random_range(0.3 * gap_m..1.7 * gap_m);
     }
 }
 

@@ -14,6 +14,17 @@ pub enum Finish {
     Metal,
     Cardboard,
     Crate,
+    /// A light wall with little on it; some pieces are nearly bare.
+    Plaster,
+    /// A closed door with its frame and sign.
+    Door,
+    /// Blurred light behind crossbars.
+    Window,
+    /// A sheet with a picture or writing.
+    Poster,
+    Carpet,
+    /// Something printed all over, as in the middle of a shop's leaflet.
+    Board,
 }
 
 /// A rectangle in the site frame that is seen from one side.
