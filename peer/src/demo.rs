@@ -324,8 +324,11 @@ fn vehicle_config(
     out: &Path,
 ) -> anyhow::Result<VehicleConfig> {
     let calibration = out.join(format!("{}.camera.yaml", vehicle.id));
-    std::fs::write(&calibration, sensor_yaml(vehicle))
-        .with_context(|| format!("cannot write {}", calibration.display()))?;
+    std::fs::write(
+        &calibration,
+        sensor_yaml(&vehicle.camera, &vehicle.body_from_camera),
+    )
+    .with_context(|| format!("cannot write {}", calibration.display()))?;
     Ok(VehicleConfig {
         id: vehicle.id.to_owned(),
         camera: CameraConfig {

@@ -12,6 +12,7 @@ pub mod plot;
 pub mod position;
 pub mod process;
 pub mod recorder;
+pub mod rendered;
 pub mod station;
 pub mod store;
 pub mod swarm;

@@ -1,4 +1,7 @@
-//! `starling sim`, hidden: the process that renders the world of `demo` and knows the truth.
+//! `starling sim`, hidden: the process that renders the world of `demo` and knows the truth, and
+//! below it `record`, which renders recordings to measure by.
+
+mod record;
 
 use std::io::Read;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +14,10 @@ use super::{Exit, output};
 use crate::process::interrupt;
 
 #[derive(clap::Args)]
+#[command(args_conflicts_with_subcommands = true)]
 pub struct SimArguments {
+    #[command(subcommand)]
+    command: Option<SimCommand>,
     #[arg(long, default_value = "lab", value_parser = ["lab"])]
     pub scenario: String,
     #[arg(long, default_value_t = 1)]
@@ -22,6 +28,12 @@ pub struct SimArguments {
     /// As fast as the vehicles acknowledge, not at most in real time.
     #[arg(long)]
     pub unlimited: bool,
+}
+
+#[derive(clap::Subcommand)]
+enum SimCommand {
+    /// Render a recording as a folder in TUM RGB-D layout, with the truth.
+    Record(record::RecordArguments),
 }
 
 /// The last line, with the truth in it; the ones before are the simulator's events.
@@ -37,9 +49,16 @@ const LAST_FRAME_PATIENCE: Duration = Duration::from_secs(35);
 /// Whether there is a route that could be ended in order.
 static STARTED: AtomicBool = AtomicBool::new(false);
 
+pub fn run(arguments: &SimArguments) -> anyhow::Result<Exit> {
+    match &arguments.command {
+        Some(SimCommand::Record(arguments)) => record::run(arguments),
+        None => fly(arguments),
+    }
+}
+
 /// One JSON object a line on stdout. The end of stdin ends the route, so that it never outlives
 /// its parent.
-pub fn run(arguments: &SimArguments) -> anyhow::Result<Exit> {
+fn fly(arguments: &SimArguments) -> anyhow::Result<Exit> {
     interrupt::leave_to_parent();
     std::thread::spawn(|| {
         // An error ends it as well as the end of the file.

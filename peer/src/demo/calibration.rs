@@ -1,11 +1,10 @@
 //! A simulated camera's calibration as a file, as a vehicle's own would be.
 
-use camera::Distortion;
-use sim::VehicleDescription;
+use camera::{CameraModel, Distortion};
+use geometry::{Body, Camera, Transform};
 
 /// The text of a EuRoC `sensor.yaml`.
-pub fn sensor_yaml(vehicle: &VehicleDescription) -> String {
-    let camera = &vehicle.camera;
+pub fn sensor_yaml(camera: &CameraModel, body_from_camera: &Transform<Body, Camera>) -> String {
     let lens = camera.intrinsics();
     let slope = camera.distortion().customary_slope();
     let mut intrinsics = vec![lens.fx / slope, lens.fy / slope, lens.cx, lens.cy];
@@ -27,7 +26,7 @@ pub fn sensor_yaml(vehicle: &VehicleDescription) -> String {
             ("none", Vec::new())
         }
     };
-    let matrix = vehicle.body_from_camera.to_matrix();
+    let matrix = body_from_camera.to_matrix();
     let rows: Vec<f64> = matrix.transpose().iter().copied().collect();
     format!(
         "# EuRoC sensor.yaml fields\n\
@@ -50,7 +49,7 @@ mod tests {
     #[test]
     fn every_simulated_camera_reads_back_as_it_is() {
         for vehicle in sim::ScenarioName::Lab.vehicles() {
-            let text = sensor_yaml(&vehicle);
+            let text = sensor_yaml(&vehicle.camera, &vehicle.body_from_camera);
             let calibration = camera::Calibration::from_euroc_yaml(&text).unwrap();
             assert_eq!(calibration.camera, vehicle.camera, "{}", vehicle.id);
             let error = calibration.body_from_camera.inverse() * vehicle.body_from_camera;
@@ -84,7 +83,8 @@ mod tests {
             let intrinsics = *vehicle.camera.intrinsics();
             vehicle.camera =
                 camera::CameraModel::new(width, height, intrinsics, distortion).unwrap();
-            let read = camera::Calibration::from_euroc_yaml(&sensor_yaml(&vehicle)).unwrap();
+            let text = sensor_yaml(&vehicle.camera, &vehicle.body_from_camera);
+            let read = camera::Calibration::from_euroc_yaml(&text).unwrap();
             assert_eq!(read.camera.distortion(), vehicle.camera.distortion());
             let (got, expected) = (read.camera.intrinsics(), vehicle.camera.intrinsics());
             assert!((got.fx - expected.fx).abs() < 1e-9 * expected.fx, "{got:?}");

@@ -55,7 +55,7 @@ fn render(scenario: &Scenario, scene: &Arc<Scene>, vehicle_idx: usize, folder: &
     fs::create_dir_all(folder.join("rgb")).unwrap();
     let vehicle = &scenario.vehicles[vehicle_idx];
     let description = &vehicle.description;
-    let yaml = peer::demo::sensor_yaml(description);
+    let yaml = peer::demo::sensor_yaml(&description.camera, &description.body_from_camera);
     fs::write(folder.join("camera.yaml"), yaml).unwrap();
     let mut renderer = Renderer::new(Arc::clone(scene), &description.camera, vehicle.sensor);
     let mut list = String::from("# timestamp filename\n");
