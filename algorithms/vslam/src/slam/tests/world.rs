@@ -14,7 +14,8 @@ pub fn camera() -> CameraModel {
         cx: 159.5,
         cy: 119.5,
     };
-    CameraModel::new(WIDTH, HEIGHT, intrinsics, Distortion::None).unwrap()
+    CameraModel::new(WIDTH, HEIGHT, intrinsics, Distortion::None)
+        .expect("the constants are a camera")
 }
 
 /// Where a camera stands; x right, y down, z forward at zero angles.
@@ -48,7 +49,7 @@ impl World {
                 pixels.push(self.shade(&pose.position, &ray));
             }
         }
-        Image::from_pixels(WIDTH, HEIGHT, pixels).unwrap()
+        Image::from_pixels(WIDTH, HEIGHT, pixels).expect("every pixel has a shade")
     }
 
     fn shade(&self, origin: &Vector3<f64>, ray: &Vector3<f64>) -> u8 {
