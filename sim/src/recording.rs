@@ -90,6 +90,17 @@ impl RecordingWorld {
         }
     }
 
+    pub fn frame_rate_hz(self) -> f64 {
+        match self {
+            Self::Lab => 10.0,
+            Self::Round => 15.0,
+            Self::Handheld | Self::Board => 30.0,
+            Self::Office => 5.0,
+            Self::Corridor => 12.0,
+            Self::Hover => 20.0,
+        }
+    }
+
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|world| world.name() == name)
     }
@@ -99,10 +110,11 @@ impl Recording {
     /// Builds the world; pictures are painted when they are first seen.
     pub fn new(settings: RecordingSettings) -> Self {
         let mut stage = Stage::new(settings.world, settings.seed);
+        let whole = (stage.duration_s * settings.world.frame_rate_hz()) as usize;
         let frame_count = settings
             .frame_count_max
-            .map_or(stage.frame_count, |most| most.min(stage.frame_count));
-        let duration_s = frame_count as f64 / stage.frame_rate_hz;
+            .map_or(whole, |most| most.min(whole));
+        let duration_s = frame_count as f64 / settings.world.frame_rate_hz();
         let weather = Weather::new(&settings.conditions, settings.seed, duration_s);
         if settings.conditions.contains(&Condition::LowTexture) {
             stage.world.contrast = 0.35;
@@ -128,7 +140,7 @@ impl Recording {
     }
 
     pub fn frame_rate_hz(&self) -> f64 {
-        self.stage.frame_rate_hz
+        self.settings.world.frame_rate_hz()
     }
 
     /// Frames of the route; with dropped ones, fewer are recorded.
@@ -158,7 +170,7 @@ impl Recording {
     }
 
     fn time_s(&self, frame_idx: usize) -> f64 {
-        frame_idx as f64 / self.stage.frame_rate_hz
+        frame_idx as f64 / self.frame_rate_hz()
     }
 
     fn render(&self, frame_idx: usize, renderer: &mut Renderer) -> RecordedFrame {

@@ -1,6 +1,7 @@
 //! The project's own chores: `cargo xtask --help`.
 
 mod check;
+mod measure;
 mod python;
 mod tidy;
 
@@ -20,11 +21,19 @@ enum Chore {
     Check,
     /// The rules that neither the compiler nor clippy knows.
     Tidy,
+    /// Run every recording of $STARLING_DATA/video and rendered worlds: RMSE, share of frames,
+    /// drift, time and memory as a table.
+    Accuracy(measure::Arguments),
+    /// Track many short rendered recordings under random conditions: no panic, and no wrong pose
+    /// called good.
+    Robustness(measure::Arguments),
 }
 
 fn main() -> Result<()> {
     match Arguments::parse().chore {
         Chore::Check => check::run(),
         Chore::Tidy => tidy::run(),
+        Chore::Accuracy(arguments) => measure::run("accuracy", &arguments),
+        Chore::Robustness(arguments) => measure::run("robustness", &arguments),
     }
 }

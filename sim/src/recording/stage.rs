@@ -18,8 +18,7 @@ pub struct Stage {
     pub route: Route,
     pub camera: CameraModel,
     pub body_from_camera: Transform<Body, Camera>,
-    pub frame_rate_hz: f64,
-    pub frame_count: usize,
+    pub duration_s: f64,
 }
 
 impl Stage {

@@ -43,7 +43,9 @@ const LAYERS: [(&str, &[&str]); 13] = [
     ),
     (
         "tests",
-        &["camera", "geodesy", "geometry", "peer", "protocol", "sim"],
+        &[
+            "camera", "geodesy", "geometry", "peer", "protocol", "sim", "vslam",
+        ],
     ),
     ("xtask", &[]),
 ];

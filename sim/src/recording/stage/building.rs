@@ -20,7 +20,6 @@ const OFFICE_S_MAX: f64 = 70.0;
 
 /// Out of a room, through others, around the corner of the corridors, into one more and on.
 pub fn office(seed: u64, rng: &mut impl Rng) -> Stage {
-    let frame_rate_hz = 5.0;
     let office = Office::new(seed);
     let gait = Gait {
         speed_m_per_s: rng.random_range(0.65..0.95),
@@ -34,8 +33,7 @@ pub fn office(seed: u64, rng: &mut impl Rng) -> Stage {
         route: Route::new(waypoints, INTERVAL_S, Wobble::new(&BOB, rng)),
         camera: video_camera(500.0, rng),
         body_from_camera: mounted(0.0, 0.12),
-        frame_rate_hz,
-        frame_count: (duration_s * frame_rate_hz) as usize,
+        duration_s,
         world: office.world,
     }
 }
@@ -79,7 +77,6 @@ fn around(stop: &Stop, rng: &mut impl Rng) -> Vec<Vector2<f64>> {
 
 /// Once around the block and on for some metres.
 pub fn corridor(seed: u64, rng: &mut impl Rng) -> Stage {
-    let frame_rate_hz = 12.0;
     let [length_m, width_m] = corridor_outline_m(seed);
     let circuit = Loop {
         half_length_m: 0.5 * length_m,
@@ -114,7 +111,6 @@ pub fn corridor(seed: u64, rng: &mut impl Rng) -> Stage {
         route: Route::new(waypoints, INTERVAL_S, Wobble::new(&BOB, rng)),
         camera: video_camera(310.0, rng),
         body_from_camera: mounted(0.0, 0.05),
-        frame_rate_hz,
-        frame_count: (duration_s * frame_rate_hz) as usize,
+        duration_s,
     }
 }

@@ -23,7 +23,7 @@ struct Pan {
 
 /// Pans to and fro, now and then with a sway.
 pub fn handheld(seed: u64, rng: &mut impl Rng) -> Stage {
-    let (duration_s, frame_rate_hz) = (25.0, 30.0);
+    let duration_s = 25.0;
     let pans = pans(duration_s, rng);
     let start = Vector3::new(
         rng.random_range(-0.5..0.5),
@@ -65,8 +65,7 @@ pub fn handheld(seed: u64, rng: &mut impl Rng) -> Stage {
         route: Route::new(waypoints, INTERVAL_S, Wobble::new(&wobble, rng)),
         camera: video_camera(520.0, rng),
         body_from_camera: mounted(0.0, 0.1),
-        frame_rate_hz,
-        frame_count: (duration_s * frame_rate_hz) as usize,
+        duration_s,
     }
 }
 
@@ -107,7 +106,7 @@ fn pans(duration_s: f64, rng: &mut impl Rng) -> Vec<Pan> {
 
 /// To and fro before a printed board.
 pub fn board(seed: u64, rng: &mut impl Rng) -> Stage {
-    let (duration_s, frame_rate_hz) = (20.0, 30.0);
+    let duration_s = 20.0;
     let mut place = Vector3::zeros();
     let mut left_s = 0.0;
     let mut steps = vec![place];
@@ -140,7 +139,6 @@ pub fn board(seed: u64, rng: &mut impl Rng) -> Stage {
         route: Route::new(waypoints, INTERVAL_S, Wobble::new(&wobble, rng)),
         camera: video_camera(520.0, rng),
         body_from_camera: mounted(0.0, 0.0),
-        frame_rate_hz,
-        frame_count: (duration_s * frame_rate_hz) as usize,
+        duration_s,
     }
 }

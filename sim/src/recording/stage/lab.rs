@@ -23,15 +23,14 @@ pub fn to_and_fro(seed: u64) -> Stage {
         route: drone.route.clone(),
         camera: drone.description.camera.clone(),
         body_from_camera: drone.description.body_from_camera,
-        frame_rate_hz: scenario.frame_rate_hz,
-        frame_count: scenario.frame_count,
+        duration_s: scenario.frame_time_s(scenario.frame_count),
         world: scenario.world,
     }
 }
 
 /// Around the lab, looking ahead or to the walls on the right.
 pub fn round(seed: u64, rng: &mut impl Rng) -> Stage {
-    let (duration_s, frame_rate_hz) = (50.0, 15.0);
+    let duration_s = 50.0;
     let world = World::lab(seed);
     let inset_m = rng.random_range(1.6..1.9);
     let circuit = Loop {
@@ -60,14 +59,13 @@ pub fn round(seed: u64, rng: &mut impl Rng) -> Stage {
         route: Route::new(waypoints, INTERVAL_S, Wobble::new(&WOBBLE, rng)),
         camera: drone_camera(),
         body_from_camera: mounted(0.0, DRONE_PITCH_DOWN_RAD),
-        frame_rate_hz,
-        frame_count: (duration_s * frame_rate_hz) as usize,
+        duration_s,
     }
 }
 
 /// Hover, turns in place, a flight, and the same again.
 pub fn hover(seed: u64, rng: &mut impl Rng) -> Stage {
-    let (duration_s, frame_rate_hz) = (36.0, 20.0);
+    let duration_s = 36.0;
     let world = if rng.random_bool(0.5) {
         World::lab(seed)
     } else {
@@ -111,8 +109,7 @@ pub fn hover(seed: u64, rng: &mut impl Rng) -> Stage {
         route: Route::new(waypoints, INTERVAL_S, Wobble::new(&wobble, rng)),
         camera: video_camera(420.0, rng),
         body_from_camera: mounted(0.0, 0.1),
-        frame_rate_hz,
-        frame_count: (duration_s * frame_rate_hz) as usize,
+        duration_s,
     }
 }
 
