@@ -21,7 +21,10 @@ mod trajectory;
 pub mod triangulation;
 pub mod two_view;
 
-pub use map::{Keyframe, KeyframeId, MapId, MapPoint, Observation, PointId, View, VslamMap};
+pub use map::{
+    Keyframe, KeyframeId, KeyframeParts, KeypointParts, MapId, MapParts, MapPartsError, MapPoint,
+    Observation, PointId, PointParts, View, ViewParts, VslamMap,
+};
 pub use report::{
     FrameRefusal, FrameReport, LostReason, MappingReport, StartReason, TrackingState,
     TrajectoryEntry,

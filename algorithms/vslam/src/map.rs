@@ -7,6 +7,7 @@ mod edit;
 mod ids;
 mod keyframe;
 mod merge;
+mod parts;
 mod place;
 mod point;
 
@@ -14,6 +15,7 @@ use std::collections::BTreeMap;
 
 pub use ids::{KeyframeId, MapId, PointId};
 pub use keyframe::{Keyframe, Observation};
+pub use parts::{KeyframeParts, KeypointParts, MapParts, MapPartsError, PointParts, ViewParts};
 pub(crate) use point::ExpectedRange;
 pub use point::{MapPoint, View};
 
@@ -32,6 +34,8 @@ pub struct VslamMap {
     points: Arena<MapPoint>,
     /// Where culled keyframes stand, relative to the keyframe that took over.
     culled: BTreeMap<KeyframeId, CulledKeyframe>,
+    /// Whether it was there before this session, which is to go on in it.
+    continued: bool,
 }
 
 impl VslamMap {
@@ -42,6 +46,7 @@ impl VslamMap {
             keyframes: Arena::starting_at(first_keyframe.0),
             points: Arena::starting_at(first_point.0),
             culled: BTreeMap::new(),
+            continued: false,
         }
     }
 
@@ -58,6 +63,16 @@ impl VslamMap {
     pub(crate) fn reserve_ids_before(&mut self, younger: &Self) {
         self.keyframes.skip_to(younger.keyframes.next_id());
         self.points.skip_to(younger.points.next_id());
+    }
+
+    /// How much the map is worth against others: the one that is to be continued is worth most,
+    /// else the number of keyframes counts.
+    pub(crate) fn rank(&self) -> (bool, usize) {
+        (self.continued, self.keyframe_count())
+    }
+
+    pub(crate) fn set_continued(&mut self) {
+        self.continued = true;
     }
 
     pub fn id(&self) -> MapId {

@@ -5,6 +5,7 @@ mod finish;
 mod follow;
 mod front_end;
 mod grow_map;
+mod recall;
 mod revisit;
 #[cfg(test)]
 mod tests;
@@ -74,6 +75,10 @@ pub struct Vslam {
 #[derive(Debug)]
 enum Mode {
     Starting(Starter),
+    /// There is a map of an earlier session, in which the camera was not found yet.
+    Recalling {
+        since: Option<Timestamp>,
+    },
     Following {
         motion: Motion,
         clock: KeyframeClock,
@@ -147,10 +152,10 @@ impl Vslam {
         self.newest_at = Some(captured_at);
         frame.frame_idx = self.trajectory.len() as u64;
         let keypoint_count = frame.observations.len();
-        let outcome = if matches!(self.mode, Mode::Starting(_)) {
-            self.start(frame)
-        } else {
-            self.follow(frame)
+        let outcome = match self.mode {
+            Mode::Starting(_) => self.start(frame),
+            Mode::Recalling { since } => self.recall(frame, since),
+            Mode::Following { .. } => self.follow(frame),
         };
         self.report(captured_at, outcome, keypoint_count)
     }
@@ -173,23 +178,19 @@ impl Vslam {
         &self.map
     }
 
-    /// The map with the most keyframes so far, lost small ones left out: the one worth keeping at
-    /// the end.
+    /// The map worth keeping at the end: the one that was continued, else the one with the most
+    /// keyframes, lost small ones left out.
     pub fn largest_map(&self) -> &VslamMap {
         // Of equals the last one counts, which is the newest.
         let maps = self.earlier.iter().chain([&self.map]);
-        maps.max_by_key(|map| map.keyframe_count())
-            .unwrap_or(&self.map)
+        maps.max_by_key(|map| map.rank()).unwrap_or(&self.map)
     }
 
     /// Every frame so far with its pose after all corrections.
     pub fn trajectory(&self) -> Vec<TrajectoryEntry> {
         (0..)
             .zip(&self.trajectory)
-            .map(|(frame_idx, record)| {
-                let maps = std::iter::once(&self.map).chain(&self.earlier);
-                record.entry(frame_idx, maps)
-            })
+            .map(|(frame_idx, record)| record.entry(frame_idx, self.maps()))
             .collect()
     }
 
@@ -204,7 +205,7 @@ impl Vslam {
             Mode::Starting(_) => TrackingState::Starting {
                 reason: StartReason::Refused(refusal),
             },
-            Mode::Following { .. } => TrackingState::Lost {
+            Mode::Recalling { .. } | Mode::Following { .. } => TrackingState::Lost {
                 reason: LostReason::Refused(refusal),
             },
         }
@@ -260,13 +261,7 @@ impl Vslam {
             points: tracked_points(last.observations()),
         };
         self.backfill.begin(start.clone());
-        let motion = Motion::starting_at(start);
-        self.mode = Mode::Following {
-            motion,
-            clock: KeyframeClock {
-                last_keyframe_at: captured_at,
-            },
-        };
+        self.follow_from(start);
         self.unmapped = Some(Unmapped::Started(keyframe));
         Outcome {
             state: TrackingState::Tracking,

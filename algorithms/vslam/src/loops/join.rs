@@ -79,7 +79,7 @@ pub(crate) fn find_in(
 /// Moves the smaller map into the larger.
 fn unite(map: &mut VslamMap, mut other: VslamMap, found: &Recognition) -> Joined {
     let other_from_map = &found.target_from_source;
-    let other_is_larger = other.keyframe_count() >= map.keyframe_count();
+    let other_is_larger = other.rank() >= map.rank();
     if !other_is_larger {
         other.transform(&other_from_map.inverse());
         let from = other.id();

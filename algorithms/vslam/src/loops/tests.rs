@@ -40,9 +40,9 @@ fn assert_consistent(map: &VslamMap) {
 fn scale(world: &World, map: &VslamMap, frames: std::ops::Range<u64>) -> f64 {
     let pairs = map
         .keyframes()
-        .filter(|one| frames.contains(&one.frame_idx()))
+        .filter(|one| one.frame_idx().is_some_and(|idx| frames.contains(&idx)))
         .map(|one| {
-            let truth = world.pose(one.frame_idx() as usize);
+            let truth = world.pose(one.frame_idx().unwrap() as usize);
             (one.centre_in_map(), *truth.translation(), 1.0)
         });
     umeyama::<Map, Map>(pairs.collect::<Vec<_>>().into_iter(), true)
@@ -100,7 +100,7 @@ fn position_error(world: &World, map: &VslamMap) -> f64 {
     let pairs: Vec<_> = map
         .keyframes()
         .map(|one| {
-            let truth = world.pose(one.frame_idx() as usize);
+            let truth = world.pose(one.frame_idx().unwrap() as usize);
             (*truth.translation(), one.centre_in_map(), 1.0)
         })
         .collect();
@@ -123,7 +123,7 @@ fn the_whole_map_is_adjusted_in_slices_while_it_may_change() {
     revisit(&mut map, around + 5);
     // Bent, as by a pose graph that did not know where the drift came from.
     let bend = |one: &Keyframe| {
-        let phase = std::f64::consts::TAU * one.frame_idx() as f64 / around as f64;
+        let phase = std::f64::consts::TAU * one.frame_idx().unwrap() as f64 / around as f64;
         let way = Vector3::new(0.0, 0.15 * (3.0 * phase).sin(), 0.0);
         (
             one.id,
@@ -200,7 +200,7 @@ fn assert_true_to(world: &World, map: &VslamMap) {
     let pairs: Vec<_> = map
         .keyframes()
         .map(|one| {
-            let truth = world.pose(one.frame_idx() as usize);
+            let truth = world.pose(one.frame_idx().unwrap() as usize);
             (*truth.translation(), one.centre_in_map(), 1.0)
         })
         .collect();
@@ -231,7 +231,7 @@ fn a_map_is_joined_to_the_larger_one_whichever_is_followed() {
         // The keyframe that shows the place is the one in the middle of what both have seen.
         let shown = map
             .keyframes()
-            .find(|one| one.frame_idx() == 34)
+            .find(|one| one.frame_idx() == Some(34))
             .unwrap()
             .id();
         let mut earlier = vec![earlier];

@@ -44,7 +44,7 @@ impl VslamMap {
         }
         self.keyframes.push(Keyframe {
             id,
-            frame_idx: frame.frame_idx,
+            frame_idx: Some(frame.frame_idx),
             captured_at: frame.captured_at,
             camera_from_map,
             observations,

@@ -28,7 +28,7 @@ pub struct Observation {
 #[derive(Clone, Debug)]
 pub struct Keyframe {
     pub(crate) id: KeyframeId,
-    pub(crate) frame_idx: u64,
+    pub(crate) frame_idx: Option<u64>,
     pub(crate) captured_at: Timestamp,
     pub(crate) camera_from_map: Transform<Camera, Map>,
     pub(crate) observations: Vec<Observation>,
@@ -46,8 +46,9 @@ impl Keyframe {
         self.id
     }
 
-    /// The number of the frame, as in [`crate::FrameReport::frame_idx`].
-    pub fn frame_idx(&self) -> u64 {
+    /// The number of the frame, as in [`crate::FrameReport::frame_idx`]; `None` for one of an
+    /// earlier session.
+    pub fn frame_idx(&self) -> Option<u64> {
         self.frame_idx
     }
 

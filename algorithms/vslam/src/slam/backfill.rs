@@ -73,7 +73,8 @@ fn find(
     rng: &mut ChaCha8Rng,
 ) -> Option<TrackedFrame> {
     let captured_at = frame.captured_at;
-    let keyframe = map.keyframes().find(|one| one.frame_idx == frame.frame_idx);
+    let is_same = |one: &&crate::Keyframe| one.frame_idx == Some(frame.frame_idx);
+    let keyframe = map.keyframes().find(is_same);
     if let Some(keyframe) = keyframe {
         return Some(TrackedFrame {
             captured_at,

@@ -34,9 +34,9 @@ impl Vslam {
 
     /// Makes the largest map the one that is followed; where the camera is in it is not known.
     fn follow_largest(&mut self) {
-        let sizes = self.earlier.iter().map(VslamMap::keyframe_count);
-        let largest = (0..).zip(sizes).max_by_key(|(_, size)| *size);
-        let Some((idx, _)) = largest.filter(|(_, size)| *size > self.map.keyframe_count()) else {
+        let ranks = self.earlier.iter().map(VslamMap::rank);
+        let largest = (0..).zip(ranks).max_by_key(|(_, rank)| *rank);
+        let Some((idx, _)) = largest.filter(|(_, rank)| *rank > self.map.rank()) else {
             return;
         };
         let mut largest = self.earlier.remove(idx);

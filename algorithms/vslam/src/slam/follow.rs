@@ -14,7 +14,7 @@ const SMALL_MAP_KEYFRAMES: usize = 6;
 /// How long a small map is looked for, frames.
 const SMALL_MAP_PATIENCE: u32 = 10;
 /// How long a map is looked for before a new one is begun beside it, seconds.
-const PATIENCE_S: f64 = 5.0;
+pub(super) const PATIENCE_S: f64 = 5.0;
 /// Maps that are kept beside the one that is followed.
 const EARLIER_MAX: usize = 4;
 /// Every so many frames the camera is looked for in an earlier map, while there is no map.
@@ -64,9 +64,9 @@ impl Vslam {
 
     /// Takes a pose that was found; what it means for the map waits until the pose is out.
     pub(super) fn accept(&mut self, frame: Frame, tracked: Tracked) -> Outcome {
-        let size = self.map.keyframe_count();
-        let largest = self.earlier.iter().map(VslamMap::keyframe_count).max();
-        if largest.is_some_and(|largest| largest > size) {
+        let rank = self.map.rank();
+        let largest = self.earlier.iter().map(VslamMap::rank).max();
+        if largest.is_some_and(|largest| largest > rank) {
             // The map may never be joined to the largest; the frame may still be found there.
             self.waiting.remember(&frame);
         }
@@ -92,12 +92,27 @@ impl Vslam {
     }
 
     /// Begins a new map; the old one is kept unless it is small.
-    fn restart(&mut self) {
+    pub(super) fn restart(&mut self) {
+        let old = self.begin_anew();
+        self.leave(old);
+    }
+
+    /// Begins a new map and hands out the old one.
+    fn begin_anew(&mut self) -> VslamMap {
         let successor = self.map.successor(MapId(self.map_count));
         self.map_count += 1;
-        let old = std::mem::replace(&mut self.map, successor);
-        self.leave(old);
         self.mode = Mode::Starting(Starter::default());
+        std::mem::replace(&mut self.map, successor)
+    }
+
+    /// Follows the camera from a frame of which nothing but the pose is known.
+    pub(super) fn follow_from(&mut self, start: TrackedFrame) {
+        self.mode = Mode::Following {
+            clock: KeyframeClock {
+                last_keyframe_at: start.captured_at,
+            },
+            motion: Motion::starting_at(start),
+        };
     }
 
     /// Keeps a map that was left, so that the camera may come back to it; of too many the smallest
@@ -108,17 +123,13 @@ impl Vslam {
             self.waiting.remember(&frame);
         }
         self.backfill = Backfill::default();
-        if left.keyframe_count() < SMALL_MAP_KEYFRAMES {
+        if left.rank() < (false, SMALL_MAP_KEYFRAMES) {
             return;
         }
         self.earlier.push(left);
         if self.earlier.len() > EARLIER_MAX {
-            let sizes = self
-                .earlier
-                .iter()
-                .map(VslamMap::keyframe_count)
-                .enumerate();
-            let smallest = sizes.min_by_key(|(_, size)| *size);
+            let ranks = self.earlier.iter().map(VslamMap::rank).enumerate();
+            let smallest = ranks.min_by_key(|(_, rank)| *rank);
             self.earlier.remove(smallest.map_or(0, |(idx, _)| idx));
         }
     }
@@ -137,7 +148,7 @@ impl Vslam {
         }
         let idx = (frame.frame_idx / interval) as usize % self.earlier.len();
         let earlier = &mut self.earlier[idx];
-        if earlier.keyframe_count() <= self.map.keyframe_count() {
+        if earlier.rank() <= self.map.rank() {
             return None;
         }
         let index = (&self.optics, &self.places);
@@ -156,16 +167,11 @@ impl Vslam {
         let left = std::mem::replace(&mut self.map, earlier);
         self.leave(left);
         self.mapper.resume();
-        self.mode = Mode::Following {
-            motion: Motion::starting_at(TrackedFrame {
-                captured_at: frame.captured_at,
-                place,
-                points: tracked_points(&frame.observations),
-            }),
-            clock: KeyframeClock {
-                last_keyframe_at: frame.captured_at,
-            },
-        };
+        self.follow_from(TrackedFrame {
+            captured_at: frame.captured_at,
+            place,
+            points: tracked_points(&frame.observations),
+        });
         Some(tracked)
     }
 }

@@ -106,7 +106,7 @@ impl Vslam {
             rng: &mut self.rng,
         };
         let (map, trajectory) = (&mut self.map, &mut self.trajectory);
-        let is_smaller = |earlier: &VslamMap| earlier.keyframe_count() > map.keyframe_count();
+        let is_smaller = |earlier: &VslamMap| earlier.rank() > map.rank();
         if !self.backfill.is_empty() {
             let missed = self
                 .backfill

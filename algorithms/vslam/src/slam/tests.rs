@@ -1,5 +1,6 @@
 //! The whole machine on small rendered worlds.
 
+mod recall;
 mod world;
 
 use camera::Image;
