@@ -1,4 +1,4 @@
-//! Files that other tools read and write: trajectories and point clouds.
+//! Files that other tools read and write, trajectories and point clouds; and maps of our own.
 
 mod cloud;
 mod covariance;
@@ -7,6 +7,7 @@ mod error;
 mod pcd;
 mod ply;
 mod point_cloud;
+mod slam_map;
 mod stamp;
 mod tum;
 mod xyz;
@@ -18,6 +19,7 @@ pub use covariance::{
 pub use destination::{check_destination, create_folder};
 pub use error::FileError;
 pub use point_cloud::PointCloud;
+pub use slam_map::{read_slam_map, write_slam_map};
 pub use stamp::parse_seconds;
 pub use tum::{StampedPose, format_tum_line, parse_tum_line, read_tum, write_tum};
 

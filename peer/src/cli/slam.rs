@@ -2,10 +2,10 @@
 
 mod intake;
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use camera::CameraModel;
 use geometry::Map;
 use serde::Serialize;
 use vslam::{MapId, TrackingState, Vslam, VslamMap, VslamSettings};
@@ -37,6 +37,13 @@ pub struct SlamArguments {
     /// or txt.
     #[arg(long)]
     pub map: Option<PathBuf>,
+    /// The whole map, to be continued later with the same camera.
+    #[arg(long, value_name = "FILE")]
+    pub save_map: Option<PathBuf>,
+    /// Goes on in a map of --save-map: the camera is looked for in it, and the trajectory is in
+    /// its frame.
+    #[arg(long = "continue", value_name = "FILE")]
+    pub continued: Option<PathBuf>,
     /// Half-open range of frame numbers.
     #[arg(long, value_name = "A..B")]
     pub frames: Option<FrameRange>,
@@ -72,16 +79,7 @@ struct SlamSummary {
 
 pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     let chosen = chosen_frames(arguments)?;
-    if let Some(path) = &arguments.map {
-        files::check_cloud_name(path).map_err(UsageError::because)?;
-        if *path == arguments.out {
-            let message = "--map and --out name the same file".to_owned();
-            return Err(UsageError(message).into());
-        }
-    }
-    for path in std::iter::once(&arguments.out).chain(&arguments.map) {
-        files::check_destination(path)?;
-    }
+    check_destinations(arguments)?;
     let options = RecordingOptions {
         calibration: arguments.calibration.clone(),
         topic: arguments.topic.clone(),
@@ -90,10 +88,7 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     let dataset = Dataset::open_with(&chosen, &options)?;
     let losses = dataset.losses().to_vec();
     let frame_count = dataset.frames().len();
-    let vslam = Vslam::new(
-        dataset.calibration().camera.clone(),
-        VslamSettings::default(),
-    );
+    let vslam = begin(arguments, &dataset.calibration().camera)?;
     let camera = if arguments.threads > 1 {
         DatasetCamera::decoding_ahead(dataset)
     } else {
@@ -110,12 +105,15 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     drive.vslam.finish();
     progress.finish();
 
-    let trajectory = largest_trajectory(&drive.vslam);
+    let map = drive.vslam.largest_map();
+    let trajectory = trajectory_in(&drive.vslam, map.id());
     let tracked = trajectory.len();
     files::write_tum(&arguments.out, trajectory)?;
-    let map = drive.vslam.largest_map();
     if let Some(path) = &arguments.map {
         files::write_cloud(path, &map_points(map))?;
+    }
+    if let Some(path) = &arguments.save_map {
+        files::write_slam_map(path, map, drive.vslam.camera())?;
     }
     let summary = drive.summarise(frame_count, tracked);
     if arguments.json {
@@ -124,6 +122,42 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
         print_summary(&summary);
     }
     Ok(drive.exit(frame_count, tracked))
+}
+
+/// Looks where results will go before the work that makes them.
+fn check_destinations(arguments: &SlamArguments) -> anyhow::Result<()> {
+    if let Some(path) = &arguments.map {
+        files::check_cloud_name(path).map_err(UsageError::because)?;
+    }
+    let named = [
+        ("--out", Some(&arguments.out)),
+        ("--map", arguments.map.as_ref()),
+        ("--save-map", arguments.save_map.as_ref()),
+    ];
+    for (idx, (name, path)) in named.iter().enumerate() {
+        let Some(path) = path else {
+            continue;
+        };
+        let twin = named[..idx].iter().find(|(_, other)| *other == Some(path));
+        if let Some((other, _)) = twin {
+            let message = format!("{name} and {other} name the same file");
+            return Err(UsageError(message).into());
+        }
+        files::check_destination(path)?;
+    }
+    Ok(())
+}
+
+/// A machine without a map, or with the one that is to be continued.
+fn begin(arguments: &SlamArguments, camera: &CameraModel) -> anyhow::Result<Vslam> {
+    let settings = VslamSettings::default();
+    Ok(match &arguments.continued {
+        None => Vslam::new(camera.clone(), settings),
+        Some(path) => {
+            let map = files::read_slam_map(path, camera, &settings)?;
+            Vslam::continuing(camera.clone(), settings, map)
+        }
+    })
 }
 
 /// The dataset with the range of either form; giving both is a contradiction.
@@ -241,18 +275,18 @@ impl Drive {
     }
 }
 
-/// The poses of the map that holds the most of them: other maps have another scale and origin.
-fn largest_trajectory(vslam: &Vslam) -> Vec<StampedPose<Map>> {
-    let mut by_map: BTreeMap<MapId, Vec<StampedPose<Map>>> = BTreeMap::new();
-    for entry in vslam.trajectory() {
-        if let Some(map_from_camera) = entry.map_from_camera {
-            by_map.entry(entry.map_id).or_default().push(StampedPose {
+/// The poses in one map: others have another scale and origin.
+fn trajectory_in(vslam: &Vslam, map_id: MapId) -> Vec<StampedPose<Map>> {
+    let entries = vslam.trajectory().into_iter();
+    let posed = entries.filter(|entry| entry.map_id == map_id);
+    posed
+        .filter_map(|entry| {
+            Some(StampedPose {
                 captured_at: entry.captured_at,
-                target_from_camera: map_from_camera,
-            });
-        }
-    }
-    by_map.remove(&vslam.largest_map().id()).unwrap_or_default()
+                target_from_camera: entry.map_from_camera?,
+            })
+        })
+        .collect()
 }
 
 fn map_points(map: &VslamMap) -> PointCloud {

@@ -71,6 +71,8 @@ fn arguments(folder: &std::path::Path) -> SlamArguments {
         topic: None,
         out: folder.join("out.tum"),
         map: Some(folder.join("map.ply")),
+        save_map: None,
+        continued: None,
         frames: None,
         realtime: false,
         threads: 2,
@@ -147,6 +149,56 @@ fn where_results_go_is_checked_before_the_work() {
     let error = refused("out.tum", "map.las");
     assert!(error.is::<UsageError>(), "{error}");
     assert!(error.to_string().contains(".ply, .pcd, .xyz"), "{error}");
+}
+
+#[test]
+fn a_map_that_is_none_is_refused_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 5);
+    let mut arguments = arguments(folder.path());
+    arguments.continued = Some(folder.path().join("0.png"));
+    let error = run(&arguments).unwrap_err().to_string();
+    assert!(error.starts_with("this is no map"), "{error}");
+    arguments.continued = None;
+    arguments.save_map = Some(arguments.out.clone());
+    let error = run(&arguments).unwrap_err();
+    assert!(error.is::<UsageError>(), "{error}");
+}
+
+#[test]
+fn a_saved_map_is_continued_in_its_own_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("lab.map");
+    let rendered = rendered_frames(80);
+    let camera = rendered.calibration.camera.clone();
+    let settings = VslamSettings::default();
+    let run_on = |vslam: Vslam, frames: std::ops::Range<usize>| {
+        let mut part = rendered.clone();
+        part.frames = part.frames.drain(frames).collect();
+        let mut drive = Drive::new(vslam);
+        drive.run_through(part, Plan::default(), &Progress::start("slam", 1));
+        drive
+    };
+    let first = run_on(Vslam::new(camera.clone(), settings.clone()), 0..60);
+    files::write_slam_map(&path, first.vslam.largest_map(), &camera).unwrap();
+    let loaded = files::read_slam_map(&path, &camera, &settings).unwrap();
+    let second = run_on(Vslam::continuing(camera, settings, loaded), 50..80);
+    let poses = |drive: &Drive| trajectory_in(&drive.vslam, drive.vslam.largest_map().id());
+    let (before, after) = (poses(&first), poses(&second));
+    assert!(after.len() >= 28, "{}", after.len());
+    // Frames of both sessions stand where they stood; the unit is the median depth at the start.
+    let mut shared_count = 0;
+    for one in &before {
+        let twin = after
+            .iter()
+            .find(|other| other.captured_at == one.captured_at);
+        if let Some(twin) = twin {
+            let moved = one.target_from_camera.inverse() * twin.target_from_camera;
+            assert!(moved.translation().norm() < 0.02, "{}", moved.translation());
+            shared_count += 1;
+        }
+    }
+    assert!(shared_count >= 8, "{shared_count}");
 }
 
 #[test]
