@@ -4,6 +4,7 @@
 #![expect(clippy::disallowed_methods, reason = "a bench measures time")]
 
 #[path = "../src/slam/tests/world.rs"]
+#[expect(dead_code, reason = "the tests use more of the world than the bench")]
 mod world;
 
 use std::hint::black_box;

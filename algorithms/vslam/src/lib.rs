@@ -3,6 +3,7 @@
 mod block_cholesky;
 pub mod bundle;
 mod frame;
+mod inertia;
 mod loops;
 mod map;
 mod mapping;
@@ -21,6 +22,7 @@ mod trajectory;
 pub mod triangulation;
 pub mod two_view;
 
+pub use inertia::ImuSample;
 pub use map::{
     Keyframe, KeyframeId, KeyframeParts, KeypointParts, MapId, MapParts, MapPartsError, MapPoint,
     Observation, PointId, PointParts, View, ViewParts, VslamMap,

@@ -86,6 +86,8 @@ pub enum LostReason {
     FewInliers,
     /// The place is not recognised.
     UnknownPlace,
+    /// What the image shows lies elsewhere than the camera can have turned to.
+    AgainstGyroscope,
     /// The frame was refused.
     Refused(FrameRefusal),
 }
@@ -142,6 +144,7 @@ impl fmt::Display for LostReason {
             Self::FewKeypoints => "too few corners in the image",
             Self::FewInliers => "too little of the image agrees with the map",
             Self::UnknownPlace => "this place is not in the map",
+            Self::AgainstGyroscope => "the gyroscope says that the camera looks elsewhere",
             Self::Refused(refusal) => return refusal.fmt(f),
         })
     }

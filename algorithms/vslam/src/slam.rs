@@ -5,6 +5,7 @@ mod finish;
 mod follow;
 mod front_end;
 mod grow_map;
+mod prior;
 mod recall;
 mod revisit;
 #[cfg(test)]
@@ -17,12 +18,14 @@ use backfill::Backfill;
 use camera::{CameraModel, Image};
 use geometry::Timestamp;
 use grow_map::Unmapped;
+use prior::Ups;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use waiting::Waiting;
 
 use crate::bundle::Workspace;
 use crate::frame::Frame;
+use crate::inertia::Inertia;
 use crate::loops::Loops;
 use crate::mapping::{Mapper, update_neighbours};
 use crate::optics::Optics;
@@ -47,6 +50,8 @@ use crate::{
 pub struct Vslam {
     optics: Optics,
     settings: VslamSettings,
+    inertia: Inertia,
+    ups: Ups,
     front_end: FrontEnd,
     rng: ChaCha8Rng,
     workspace: Workspace,
@@ -104,6 +109,8 @@ impl Vslam {
     pub fn new(camera: CameraModel, settings: VslamSettings) -> Self {
         Self {
             optics: Optics::new(camera.clone(), settings.keypoint_sigma_px),
+            inertia: Inertia::default(),
+            ups: Ups::default(),
             front_end: FrontEnd::new(camera, &settings),
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
             workspace: Workspace::default(),
@@ -149,11 +156,12 @@ impl Vslam {
                 return self.report(captured_at, outcome, 0);
             }
         };
-        self.newest_at = Some(captured_at);
+        let last_at = self.newest_at.replace(captured_at);
+        self.ups.begin_frame(self.inertia.up_in_camera());
         frame.frame_idx = self.trajectory.len() as u64;
         let keypoint_count = frame.observations.len();
         let outcome = match self.mode {
-            Mode::Starting(_) => self.start(frame),
+            Mode::Starting(_) => self.start(frame, last_at),
             Mode::Recalling { since } => self.recall(frame, since),
             Mode::Following { .. } => self.follow(frame),
         };
@@ -211,7 +219,7 @@ impl Vslam {
         }
     }
 
-    fn start(&mut self, mut frame: Frame) -> Outcome {
+    fn start(&mut self, mut frame: Frame, last_at: Option<Timestamp>) -> Outcome {
         if let Some(tracked) = self.return_to_earlier(&mut frame) {
             return self.accept(frame, tracked);
         }
@@ -219,6 +227,7 @@ impl Vslam {
             unreachable!("called only while starting");
         };
         let captured_at = frame.captured_at;
+        starter.turn = last_at.and_then(|last_at| self.inertia.turn(last_at, captured_at));
         self.backfill.remember(&frame);
         let into = (&self.map, &mut self.workspace);
         match starter.advance(&self.optics, frame, into, &mut self.rng) {

@@ -1,7 +1,7 @@
 //! The first two keyframes of a map.
 
 use geometry::{Camera, Transform};
-use nalgebra::{Matrix3, Vector2};
+use nalgebra::{Matrix3, UnitQuaternion, Vector2};
 use rand_chacha::ChaCha8Rng;
 
 use crate::bundle::{BundleSettings, Workspace};
@@ -35,6 +35,8 @@ const GATE: Gate = Gate {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Starter {
     reference: Option<Reference>,
+    /// How the camera's axes turned since the last frame (`now_from_last`), if a gyroscope tells.
+    pub(crate) turn: Option<UnitQuaternion<f64>>,
 }
 
 #[derive(Clone, Debug)]
@@ -64,6 +66,9 @@ impl Starter {
             self.reference = Some(Reference::new(frame));
             return Err(StartReason::FirstFrame);
         };
+        if let Some(turn) = self.turn {
+            reference.turn_by(&turn);
+        }
         let pairs = reference.match_frame(optics, &frame);
         let age_s = frame.captured_at - reference.frame.captured_at;
         if pairs.len() < MATCHES_MIN || age_s > REFERENCE_AGE_MAX_S {
@@ -82,6 +87,16 @@ impl Reference {
     fn new(frame: Frame) -> Self {
         let last_seen = frame.observations.iter().map(|one| one.position).collect();
         Self { frame, last_seen }
+    }
+
+    /// Expects all keypoints where this turn of the camera puts them.
+    fn turn_by(&mut self, turn: &UnitQuaternion<f64>) {
+        for position in &mut self.last_seen {
+            let ray = turn * position.push(1.0);
+            if ray.z > 0.0 {
+                *position = ray.xy() / ray.z;
+            }
+        }
     }
 
     fn match_frame(&mut self, optics: &Optics, frame: &Frame) -> Vec<Pair> {

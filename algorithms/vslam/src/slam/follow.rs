@@ -9,6 +9,8 @@ use crate::{LostReason, MapId, TrackingState, VslamMap};
 
 /// After so many frames without a pose the last motion says nothing any more.
 const COASTED_MAX: u32 = 3;
+/// With a gyroscope the camera's axes are still known.
+const COASTED_WITH_GYRO_MAX: u32 = 15;
 /// A map with fewer keyframes is given up soon when it is lost, and not kept.
 const SMALL_MAP_KEYFRAMES: usize = 6;
 /// How long a small map is looked for, frames.
@@ -32,8 +34,15 @@ impl Vslam {
         let Mode::Following { motion, .. } = &mut self.mode else {
             unreachable!("called only while following");
         };
+        motion.turn = self
+            .inertia
+            .turn(motion.last.captured_at, frame.captured_at);
+        let coasted_max = match motion.turn {
+            Some(_) => COASTED_WITH_GYRO_MAX,
+            None => COASTED_MAX,
+        };
         let mut result = Err(LostReason::UnknownPlace);
-        if motion.missed_count <= COASTED_MAX {
+        if motion.missed_count <= coasted_max {
             result = track(
                 &self.optics,
                 &mut self.map,
@@ -53,6 +62,7 @@ impl Vslam {
                 )
                 .ok_or(reason)
         });
+        let result = result.and_then(|tracked| self.check_turn(tracked, coasted_max));
         match result {
             Ok(tracked) => self.accept(frame, tracked),
             Err(reason) => {
@@ -60,6 +70,22 @@ impl Vslam {
                 self.miss(&frame, reason)
             }
         }
+    }
+
+    /// Refuses a pose that the gyroscope contradicts, for as long as it is followed; then it is the
+    /// gyroscope that is doubted.
+    fn check_turn(&mut self, tracked: Tracked, coasted_max: u32) -> Result<Tracked, LostReason> {
+        let Mode::Following { motion, .. } = &self.mode else {
+            return Ok(tracked);
+        };
+        if !motion.contradicts(&self.map, &tracked.camera_from_map) {
+            return Ok(tracked);
+        }
+        if motion.missed_count <= coasted_max {
+            return Err(LostReason::AgainstGyroscope);
+        }
+        self.inertia.doubt();
+        Ok(tracked)
     }
 
     /// Takes a pose that was found; what it means for the map waits until the pose is out.

@@ -71,6 +71,7 @@ impl Vslam {
             tracked.camera_from_map = *keyframe.camera_from_map();
             tracked.reference = inserted.keyframe;
             clock.last_keyframe_at = captured_at;
+            self.ups.note(inserted.keyframe);
             insertion = Some(inserted);
         }
         let place = self
@@ -79,6 +80,10 @@ impl Vslam {
             .expect("the reference is in the map");
         if let Some(record) = self.trajectory.get_mut(frame_idx) {
             record.place = Some(place);
+        }
+        if let Some(turn) = motion.turn_to(&self.map, &place) {
+            let interval = (motion.last.captured_at, captured_at);
+            self.inertia.learn(interval, &turn);
         }
         motion.advance(
             &self.map,

@@ -1,18 +1,25 @@
 //! Where the camera should be now.
 
 use geometry::{Camera, Map, Timestamp, Transform};
+use nalgebra::UnitQuaternion;
 
 use super::TrackedFrame;
 use crate::VslamMap;
+use crate::map::Place;
 
 /// Velocity is carried on for at most this many frame intervals.
 const EXTRAPOLATION_MAX: f64 = 4.0;
+
+/// A gyroscope and the camera agree on a turn of some frames within this.
+const TURN_ERROR_RAD_MAX: f64 = 0.1;
 
 /// The last tracked frame and how the camera moved there.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
     pub(crate) last: TrackedFrame,
     velocity: Option<Velocity>,
+    /// How the camera's axes turned since the last frame (`now_from_last`), if a gyroscope tells.
+    pub(crate) turn: Option<UnitQuaternion<f64>>,
     /// Frames without a pose since.
     pub(crate) missed_count: u32,
 }
@@ -29,8 +36,29 @@ impl Motion {
         Self {
             last,
             velocity: None,
+            turn: None,
             missed_count: 0,
         }
+    }
+
+    /// Whether the camera cannot have turned like this, as the gyroscope tells it: a place that
+    /// looks like another.
+    pub(crate) fn contradicts(
+        &self,
+        map: &VslamMap,
+        camera_from_map: &Transform<Camera, Map>,
+    ) -> bool {
+        let Some((turn, last)) = self.turn.zip(self.last_pose(map)) else {
+            return false;
+        };
+        let seen = *(*camera_from_map * last.inverse()).rotation();
+        turn.angle_to(&seen) > TURN_ERROR_RAD_MAX
+    }
+
+    /// How the camera's axes turned from the last frame to this place; `None` after a gap.
+    pub(crate) fn turn_to(&self, map: &VslamMap, next: &Place) -> Option<UnitQuaternion<f64>> {
+        let later = map.pose(next).filter(|_| self.missed_count == 0)?;
+        Some(*(later * self.last_pose(map)?.inverse()).rotation())
     }
 
     /// Takes the next tracked frame.
@@ -46,6 +74,7 @@ impl Motion {
                 interval_s,
             });
         self.last = next;
+        self.turn = None;
         self.missed_count = 0;
     }
 
@@ -65,12 +94,21 @@ impl Motion {
 
     /// The pose at this time, if the camera went on as it did.
     pub(crate) fn predict(&self, map: &VslamMap, at: Timestamp) -> Option<Transform<Camera, Map>> {
-        let last = self.last_pose(map)?;
+        let moved = self.moved(at);
+        let moved = match self.turn {
+            // The path of the camera stays, its axes are those that the gyroscope tells.
+            Some(turn) => Transform::new(turn, turn * -*moved.inverse().translation()),
+            None => moved,
+        };
+        Some(moved * self.last_pose(map)?)
+    }
+
+    fn moved(&self, at: Timestamp) -> Transform<Camera, Camera> {
         let Some(velocity) = self.velocity else {
-            return Some(last);
+            return Transform::identity();
         };
         let intervals = (at - self.last.captured_at) / velocity.interval_s;
         let tangent = velocity.later_from_earlier.log() * intervals.clamp(0.0, EXTRAPOLATION_MAX);
-        Some(Transform::<Camera, Camera>::exp(&tangent) * last)
+        Transform::exp(&tangent)
     }
 }

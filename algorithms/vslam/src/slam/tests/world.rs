@@ -19,24 +19,39 @@ pub fn camera() -> CameraModel {
 }
 
 /// Where a camera stands; x right, y down, z forward at zero angles.
+#[derive(Clone, Copy, Debug)]
 pub struct Pose {
     pub position: Vector3<f64>,
     pub yaw_rad: f64,
     pub pitch_rad: f64,
 }
 
+impl Pose {
+    pub fn world_from_camera(&self) -> Rotation3<f64> {
+        Rotation3::from_euler_angles(self.pitch_rad, self.yaw_rad, 0.0)
+    }
+}
+
 /// A wall at 4 m, a floor, and two boards before the wall.
 pub struct World {
     seed: u32,
+    /// After so many patches the texture of each surface begins anew.
+    period: i32,
 }
 
 impl World {
     pub fn new(seed: u32) -> Self {
-        Self { seed }
+        let period = i32::MAX;
+        Self { seed, period }
+    }
+
+    /// A world in which one place looks much like another.
+    pub fn repeating(seed: u32, period: i32) -> Self {
+        Self { seed, period }
     }
 
     pub fn render(&self, pose: &Pose) -> Image {
-        let rotation = Rotation3::from_euler_angles(pose.pitch_rad, pose.yaw_rad, 0.0);
+        let rotation = pose.world_from_camera();
         let mut pixels = Vec::with_capacity(WIDTH * HEIGHT);
         for row in 0..HEIGHT {
             for column in 0..WIDTH {
@@ -75,20 +90,27 @@ impl World {
         for (octave, (size, weight)) in [(0.4, 0.35), (0.15, 0.35), (0.06, 0.3)].iter().enumerate()
         {
             let layer = self.seed ^ (surface * 31 + octave as u32 * 7919);
-            value += weight * patches(layer, u / size, v / size);
+            value += weight * self.patches(layer, u / size, v / size);
         }
         (40.0 + 175.0 * value) as u8
     }
-}
 
-fn patches(layer: u32, u: f64, v: f64) -> f64 {
-    let (column, row) = (u.floor(), v.floor());
-    let blend = |share: f64| ((share - 0.9) / 0.1).clamp(0.0, 1.0);
-    let (right, down) = (blend(u - column), blend(v - row));
-    let at = |dx: i32, dy: i32| hash(layer, column as i32 + dx, row as i32 + dy);
-    let top = at(0, 0) * (1.0 - right) + at(1, 0) * right;
-    let bottom = at(0, 1) * (1.0 - right) + at(1, 1) * right;
-    top * (1.0 - down) + bottom * down
+    fn patches(&self, layer: u32, u: f64, v: f64) -> f64 {
+        let (column, row) = (u.floor(), v.floor());
+        let blend = |share: f64| ((share - 0.9) / 0.1).clamp(0.0, 1.0);
+        let (right, down) = (blend(u - column), blend(v - row));
+        let wrap = |place: i32| match self.period {
+            i32::MAX => place,
+            period => place.rem_euclid(period),
+        };
+        let at = |dx: i32, dy: i32| {
+            let (x, y) = (wrap(column as i32 + dx), wrap(row as i32 + dy));
+            hash(layer, x, y)
+        };
+        let top = at(0, 0) * (1.0 - right) + at(1, 0) * right;
+        let bottom = at(0, 1) * (1.0 - right) + at(1, 1) * right;
+        top * (1.0 - down) + bottom * down
+    }
 }
 
 fn hash(layer: u32, x: i32, y: i32) -> f64 {

@@ -1,0 +1,205 @@
+//! A gyroscope and an accelerometer beside the camera.
+
+use camera::Image;
+use geometry::{Map, Timestamp, umeyama};
+use nalgebra::Vector3;
+
+use super::world::{Pose, World};
+use super::{RATE_HZ, machine, pose, stamp};
+use crate::{FrameReport, ImuSample, LostReason, TrackingState, Vslam};
+
+/// Frames of the walk before the jerks, and of these.
+const WALK_FRAMES: usize = 41;
+const JERKS: usize = 30;
+/// Readings between two frames.
+const SAMPLES_PER_FRAME: usize = 40;
+
+/// What is wrong with a gyroscope.
+#[derive(Clone, Copy, Default)]
+struct Flaws {
+    bias: Vector3<f64>,
+    noise: f64,
+}
+
+/// Flies along the poses; with a gyroscope unless there are no `flaws` to speak of.
+fn fly(images: &[Image], poses: &[Pose], flaws: Option<Flaws>) -> (Vslam, Vec<FrameReport>) {
+    let mut slam = machine();
+    let mut reports = Vec::new();
+    for (frame, here) in poses.iter().enumerate().take(images.len()) {
+        if let (Some(flaws), true) = (flaws, frame > 0) {
+            feed(&mut slam, frame, (&poses[frame - 1], here), flaws);
+        }
+        reports.push(slam.process(&images[frame], stamp(frame)).0);
+    }
+    (slam, reports)
+}
+
+/// Motion blur along the rows.
+fn smeared(mut image: Image, smear_px: usize) -> Image {
+    let width = image.width();
+    for row in image.pixels_mut().chunks_mut(width) {
+        let sharp = row.to_vec();
+        for (x, pixel) in row.iter_mut().enumerate() {
+            let seen = &sharp[x..width.min(x + smear_px)];
+            let sum: usize = seen.iter().map(|shade| usize::from(*shade)).sum();
+            *pixel = (sum / seen.len()) as u8;
+        }
+    }
+    image
+}
+
+fn render(poses: &[Pose]) -> Vec<Image> {
+    let world = World::new(7);
+    poses.iter().map(|pose| world.render(pose)).collect()
+}
+
+fn feed(slam: &mut Vslam, frame: usize, (before, here): (&Pose, &Pose), flaws: Flaws) {
+    let earlier_from_later = before.world_from_camera().inverse() * here.world_from_camera();
+    let rate = earlier_from_later.scaled_axis() * RATE_HZ;
+    let up_in_world = -Vector3::y();
+    for idx in 1..=SAMPLES_PER_FRAME {
+        let share = idx as f64 / SAMPLES_PER_FRAME as f64;
+        let seconds = (frame as f64 - 1.0 + share) / RATE_HZ;
+        let phase = 1000.0 * seconds;
+        let noise = Vector3::new(phase.sin(), (1.7 * phase).sin(), (2.9 * phase).sin());
+        let taken = slam.take_imu(ImuSample {
+            captured_at: Timestamp::from_seconds(seconds).unwrap(),
+            rate_in_camera: rate + flaws.bias + noise * flaws.noise,
+            specific_force_in_camera: Some(here.world_from_camera().inverse() * up_in_world * 9.8),
+        });
+        assert!(taken);
+    }
+}
+
+fn tracking_count(reports: &[FrameReport]) -> usize {
+    let tracking = |one: &&FrameReport| one.state == TrackingState::Tracking;
+    reports.iter().filter(tracking).count()
+}
+
+/// A walk along a wall on which every half metre looks alike, then jerks to the sides: each by more
+/// than constant velocity can be wrong.
+fn walk_and_jerks(factor: f64) -> Vec<Pose> {
+    let jerks = [0.0, 0.2, -0.1, 0.15, -0.15, 0.1, -0.2, 0.05, 0.25, -0.05];
+    let jerky = (0..JERKS).map(|idx| Pose {
+        yaw_rad: factor * jerks[idx % jerks.len()],
+        ..pose(WALK_FRAMES - 1)
+    });
+    (0..WALK_FRAMES).map(pose).chain(jerky).collect()
+}
+
+/// Frames of the jerks at which the camera looks where it does; what repeats lies 0.2 rad apart.
+fn right_count(slam: &Vslam, poses: &[Pose], reports: &[FrameReport]) -> usize {
+    let Some(first) = slam.map().keyframes().next() else {
+        return 0;
+    };
+    let first_idx = first.frame_idx().unwrap() as usize;
+    let world_from_map = poses[first_idx].world_from_camera();
+    let right = reports
+        .iter()
+        .zip(poses)
+        .skip(WALK_FRAMES)
+        .filter(|(report, pose)| {
+            report.map_from_camera.is_some_and(|map_from_camera| {
+                let estimate = map_from_camera.rotation().to_rotation_matrix();
+                let error = (world_from_map * estimate).rotation_to(&pose.world_from_camera());
+                error.angle() < 0.1
+            })
+        });
+    right.count()
+}
+
+#[test]
+fn fast_turns_are_followed_with_a_gyroscope() {
+    // Patches that repeat, smeared as by the turn: descriptors alone go wrong now and then.
+    let (mut blind_count, mut guided_count) = (0, 0);
+    for (seed, factor, smear_px) in [(8, 1.0, 13), (7, 1.5, 9)] {
+        let world = World::repeating(seed, 2);
+        let poses = walk_and_jerks(factor);
+        let image = |frame: usize| {
+            let sharp = world.render(&poses[frame]);
+            if frame < WALK_FRAMES {
+                sharp
+            } else {
+                smeared(sharp, smear_px)
+            }
+        };
+        let images: Vec<Image> = (0..poses.len()).map(image).collect();
+        let (slam, reports) = fly(&images, &poses, None);
+        blind_count += right_count(&slam, &poses, &reports);
+        let (slam, reports) = fly(&images, &poses, Some(Flaws::default()));
+        guided_count += right_count(&slam, &poses, &reports);
+    }
+    assert!(guided_count >= 2 * JERKS - 1, "{guided_count}");
+    assert!(blind_count + 2 < guided_count, "{blind_count}");
+}
+
+#[test]
+fn a_pose_against_the_gyroscope_is_refused_for_a_while() {
+    let poses: Vec<Pose> = (0..60).map(pose).collect();
+    let images = render(&poses);
+    let (mut slam, reports) = fly(&images[..40], &poses, Some(Flaws::default()));
+    assert_eq!(reports[39].state, TrackingState::Tracking);
+    // The gyroscope says that the camera turned by half a radian; the images do not.
+    let astray = Pose {
+        yaw_rad: poses[39].yaw_rad + 0.5,
+        ..poses[39]
+    };
+    feed(&mut slam, 40, (&poses[39], &astray), Flaws::default());
+    let states: Vec<TrackingState> = (40..60)
+        .map(|frame| {
+            if frame > 40 {
+                let before = (&poses[frame - 1], &poses[frame]);
+                feed(&mut slam, frame, before, Flaws::default());
+            }
+            slam.process(&images[frame], stamp(frame)).0.state
+        })
+        .collect();
+    let refused = TrackingState::Lost {
+        reason: LostReason::AgainstGyroscope,
+    };
+    assert_eq!(states[0], refused);
+    assert_eq!(*states.last().unwrap(), TrackingState::Tracking);
+}
+
+#[test]
+fn a_poor_gyroscope_does_no_harm() {
+    let poses: Vec<Pose> = (0..60).map(pose).collect();
+    let images = render(&poses);
+    let poor = Flaws {
+        bias: Vector3::new(0.02, -0.02, 0.02),
+        noise: 0.02,
+    };
+    let (_, without) = fly(&images, &poses, None);
+    let (slam, with) = fly(&images, &poses, Some(poor));
+    assert!(tracking_count(&with) + 1 >= tracking_count(&without));
+    let pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)> = slam
+        .trajectory()
+        .iter()
+        .filter_map(|one| {
+            let truth = poses[one.frame_idx as usize].position;
+            Some((truth, *one.map_from_camera?.translation(), 1.0))
+        })
+        .collect();
+    assert!(pairs.len() >= 58, "{}", pairs.len());
+    let truth_from_map = umeyama::<Map, Map>(pairs.iter().copied(), true).unwrap();
+    let errors = pairs
+        .iter()
+        .map(|(truth, estimate, _)| (truth - truth_from_map * *estimate).norm());
+    let worst = errors.fold(0.0, f64::max);
+    assert!(worst < 0.03, "{worst} m");
+}
+
+#[test]
+fn up_is_known_in_the_map() {
+    let poses: Vec<Pose> = (0..70).map(pose).collect();
+    let images = render(&poses);
+    let (without, _) = fly(&images, &poses, None);
+    assert_eq!(without.up_in_map(), None);
+    let (slam, _) = fly(&images, &poses, Some(Flaws::default()));
+    // The map's axes are those of its first keyframe's camera.
+    let first = slam.map().keyframes().next().unwrap();
+    let frame = first.frame_idx().unwrap() as usize;
+    let expected = poses[frame].world_from_camera().inverse() * -Vector3::y();
+    let up = slam.up_in_map().unwrap();
+    assert!(up.dot(&expected) > 0.01_f64.cos(), "{up:?} {expected:?}");
+}
