@@ -4,6 +4,7 @@ mod cloud;
 mod covariance;
 mod destination;
 mod error;
+mod imu;
 mod pcd;
 mod ply;
 mod point_cloud;
@@ -18,6 +19,7 @@ pub use covariance::{
 };
 pub use destination::{check_destination, create_folder};
 pub use error::FileError;
+pub use imu::{ImuReading, ImuReadings, read_imu};
 pub use point_cloud::PointCloud;
 pub use slam_map::{read_slam_map, write_slam_map};
 pub use stamp::parse_seconds;

@@ -1,5 +1,6 @@
 //! `starling slam`: monocular vSLAM over a recording.
 
+mod inertia;
 mod intake;
 
 use std::path::PathBuf;
@@ -7,6 +8,7 @@ use std::time::Duration;
 
 use camera::CameraModel;
 use geometry::Map;
+use nalgebra::{Unit, Vector3};
 use serde::Serialize;
 use vslam::{MapId, TrackingState, Vslam, VslamMap, VslamSettings};
 
@@ -16,6 +18,7 @@ use crate::dataset::{
     Camera, Dataset, DatasetArgument, DatasetCamera, FrameRange, RecordingOptions,
 };
 use crate::files::{self, PointCloud, StampedPose};
+use inertia::Readings;
 use intake::{Arrival, Intake, IntakeCounts, Pace};
 
 #[derive(clap::Args)]
@@ -44,6 +47,10 @@ pub struct SlamArguments {
     /// its frame.
     #[arg(long = "continue", value_name = "FILE")]
     pub continued: Option<PathBuf>,
+    /// Readings of an inertial sensor as priors (`ns,wx,wy,wz,ax,ay,az`, rad/s and m/s², on the
+    /// camera's clock; `T_BS` in a sensor.yaml beside it); `auto`: those of a EuRoC recording.
+    #[arg(long, value_name = "FILE")]
+    pub imu: Option<PathBuf>,
     /// Half-open range of frame numbers.
     #[arg(long, value_name = "A..B")]
     pub frames: Option<FrameRange>,
@@ -75,6 +82,9 @@ struct SlamSummary {
     ms_per_frame_p50: Option<f64>,
     ms_per_frame_p99: Option<f64>,
     peak_rss_bytes: Option<u64>,
+    /// Away from the ground, in the frame of the trajectory, if an accelerometer told.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    up_in_map: Option<[f64; 3]>,
 }
 
 pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
@@ -89,6 +99,10 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     let losses = dataset.losses().to_vec();
     let frame_count = dataset.frames().len();
     let vslam = begin(arguments, &dataset.calibration().camera)?;
+    let readings = match &arguments.imu {
+        Some(named) => Readings::open(named, &chosen.path, &dataset)?,
+        None => Readings::default(),
+    };
     let camera = if arguments.threads > 1 {
         DatasetCamera::decoding_ahead(dataset)
     } else {
@@ -99,7 +113,7 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
         thread_count: arguments.threads,
         pace: arguments.realtime.then(Pace::default),
     };
-    let mut drive = Drive::new(vslam);
+    let mut drive = Drive::new(vslam, readings);
     drive.losses = losses;
     drive.run_through(camera, plan, &progress);
     drive.vslam.finish();
@@ -183,6 +197,7 @@ struct Plan {
 /// The machine, fed by a camera, and what is counted on the way.
 struct Drive {
     vslam: Vslam,
+    readings: Readings,
     /// From each decoded image to its pose.
     processing: Vec<Duration>,
     tracked_live: usize,
@@ -195,9 +210,10 @@ struct Drive {
 }
 
 impl Drive {
-    fn new(vslam: Vslam) -> Self {
+    fn new(vslam: Vslam, readings: Readings) -> Self {
         Self {
             vslam,
+            readings,
             processing: Vec::new(),
             tracked_live: 0,
             lost: 0,
@@ -217,6 +233,8 @@ impl Drive {
     }
 
     fn take(&mut self, arrival: Arrival) {
+        let captured_at = arrival.frame.captured_at();
+        self.readings.give_until(captured_at, &mut self.vslam);
         let report = self.vslam.track(arrival.frame);
         self.processing.push(arrival.came_at.elapsed());
         self.tracked_live += usize::from(report.map_from_camera.is_some());
@@ -225,6 +243,13 @@ impl Drive {
             self.untracked = Some(report.state);
         }
         self.vslam.map_frame();
+    }
+
+    fn up_in_map(&self) -> Option<Unit<Vector3<f64>>> {
+        let tracked_in = self.vslam.map().id();
+        (self.vslam.largest_map().id() == tracked_in)
+            .then(|| self.vslam.up_in_map())
+            .flatten()
     }
 
     fn summarise(&self, frame_count: usize, tracked: usize) -> SlamSummary {
@@ -242,6 +267,7 @@ impl Drive {
             ms_per_frame_p50: percentile_ms(&sorted, 0.50),
             ms_per_frame_p99: percentile_ms(&sorted, 0.99),
             peak_rss_bytes: peak_rss_bytes(),
+            up_in_map: self.up_in_map().map(|up| (*up).into()),
         }
     }
 
@@ -257,6 +283,12 @@ impl Drive {
         for loss in &self.losses {
             output::diagnose(&format!("warning: {loss}"));
         }
+        if let Some(skipped) = &self.readings.skipped {
+            output::diagnose(&format!(
+                "warning: skipped {} lines without readings; the first: {}",
+                skipped.count, skipped.first
+            ));
+        }
         if tracked == 0 {
             let reason = self.untracked.map_or_else(
                 || "no image came to be looked at".to_owned(),
@@ -267,7 +299,8 @@ impl Drive {
             ));
             return Exit::Refused;
         }
-        if self.intake.first_unreadable.is_some() || !self.losses.is_empty() {
+        let lossy = !self.losses.is_empty() || self.readings.skipped.is_some();
+        if self.intake.first_unreadable.is_some() || lossy {
             Exit::DoneWithLoss
         } else {
             Exit::Done
@@ -336,6 +369,9 @@ fn print_summary(summary: &SlamSummary) {
         output::print_line(&format!(
             "{p50:.1} ms per frame, {p99:.1} ms at the 99th percentile"
         ));
+    }
+    if let Some([x, y, z]) = summary.up_in_map {
+        output::print_line(&format!("up in the map: {x:.3} {y:.3} {z:.3}"));
     }
 }
 

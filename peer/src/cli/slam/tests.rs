@@ -2,6 +2,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
+use geometry::Timestamp;
+use vslam::ImuSample;
+
 use super::*;
 use crate::dataset::{CameraEvent, Frame};
 
@@ -16,7 +19,7 @@ fn percentiles_are_nearest_ranks() {
 
 #[test]
 fn summary_has_the_names_of_the_contract() {
-    let drive = Drive::new(vslam_of(32, 24));
+    let drive = Drive::new(vslam_of(32, 24), Readings::default());
     let json = serde_json::to_value(drive.summarise(0, 0)).unwrap();
     let mut names: Vec<&str> = json
         .as_object()
@@ -73,6 +76,7 @@ fn arguments(folder: &std::path::Path) -> SlamArguments {
         map: Some(folder.join("map.ply")),
         save_map: None,
         continued: None,
+        imu: None,
         frames: None,
         realtime: false,
         threads: 2,
@@ -96,7 +100,7 @@ fn a_damaged_image_is_loss_and_not_failure() {
     grey_recording(folder.path(), 5);
     std::fs::write(folder.path().join("2.png"), "no image").unwrap();
     let dataset = Dataset::open(&arguments(folder.path()).dataset).unwrap();
-    let mut drive = Drive::new(vslam_of(32, 24));
+    let mut drive = Drive::new(vslam_of(32, 24), Readings::default());
     let progress = Progress::start("slam", 5);
     drive.run_through(DatasetCamera::inline(dataset), Plan::default(), &progress);
     assert_eq!(
@@ -111,7 +115,7 @@ fn a_damaged_image_is_loss_and_not_failure() {
 
 #[test]
 fn a_recording_that_was_cut_off_is_loss_and_not_failure() {
-    let mut drive = Drive::new(vslam_of(32, 24));
+    let mut drive = Drive::new(vslam_of(32, 24), Readings::default());
     assert_eq!(drive.exit(5, 4), Exit::Done);
     drive.losses = vec!["the recording ends after 5 images".to_owned()];
     assert_eq!(drive.exit(5, 4), Exit::DoneWithLoss);
@@ -175,7 +179,7 @@ fn a_saved_map_is_continued_in_its_own_frame() {
     let run_on = |vslam: Vslam, frames: std::ops::Range<usize>| {
         let mut part = rendered.clone();
         part.frames = part.frames.drain(frames).collect();
-        let mut drive = Drive::new(vslam);
+        let mut drive = Drive::new(vslam, Readings::default());
         drive.run_through(part, Plan::default(), &Progress::start("slam", 1));
         drive
     };
@@ -202,6 +206,47 @@ fn a_saved_map_is_continued_in_its_own_frame() {
 }
 
 #[test]
+fn readings_are_found_beside_the_recording_and_bad_lines_are_a_loss() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 5);
+    let mut arguments = arguments(folder.path());
+    arguments.imu = Some("auto".into());
+    let error = run(&arguments).unwrap_err().to_string();
+    assert!(error.contains("found no mav0/imu0/data.csv"), "{error}");
+    let imu = folder.path().join("mav0/imu0");
+    std::fs::create_dir_all(&imu).unwrap();
+    let readings_of = |text: &str| {
+        std::fs::write(imu.join("data.csv"), text).unwrap();
+        let dataset = Dataset::open(&arguments.dataset)?;
+        Readings::open(std::path::Path::new("auto"), folder.path(), &dataset)
+    };
+    let error = readings_of("9000000000,0,0,0,0,0,0\n")
+        .err()
+        .unwrap()
+        .to_string();
+    assert!(
+        error.contains("lie outside the recording from 0"),
+        "{error}"
+    );
+    let mut readings = readings_of("0,0,0,1,0,0,9.8\n1,broken\n2000000,0,0,1,0,0,9.8\n").unwrap();
+    let skipped = readings.skipped.as_ref().unwrap();
+    assert_eq!(skipped.count, 1);
+    assert!(skipped.first.ends_with("data.csv:2"), "{}", skipped.first);
+    // Only what is due is given; nothing is given twice.
+    let mut vslam = vslam_of(32, 24);
+    readings.give_until(Timestamp::from_nanoseconds(1_000_000), &mut vslam);
+    let sample = |nanoseconds| ImuSample {
+        captured_at: Timestamp::from_nanoseconds(nanoseconds),
+        rate_in_camera: nalgebra::Vector3::zeros(),
+        specific_force_in_camera: None,
+    };
+    assert!(!vslam.take_imu(sample(0)));
+    assert!(vslam.take_imu(sample(1)));
+    let drive = Drive::new(vslam, readings);
+    assert_eq!(drive.exit(5, 5), Exit::DoneWithLoss);
+}
+
+#[test]
 fn frames_are_chosen_once() {
     let folder = tempfile::tempdir().unwrap();
     grey_recording(folder.path(), 5);
@@ -221,7 +266,7 @@ fn at_real_time_late_frames_are_dropped_and_early_ones_waited_for() {
     std::fs::write(folder.path().join("rgb.txt"), list).unwrap();
     for thread_count in [1, 2] {
         let dataset = Dataset::open(&arguments(folder.path()).dataset).unwrap();
-        let mut drive = Drive::new(vslam_of(32, 24));
+        let mut drive = Drive::new(vslam_of(32, 24), Readings::default());
         let started = Instant::now();
         let progress = Progress::start("slam", 3);
         let plan = Plan {
@@ -242,7 +287,7 @@ fn two_threads_give_the_trajectory_of_one() {
             rendered.calibration.camera.clone(),
             VslamSettings::default(),
         );
-        let mut drive = Drive::new(vslam);
+        let mut drive = Drive::new(vslam, Readings::default());
         let plan = Plan {
             thread_count,
             pace: None,
