@@ -4,6 +4,7 @@ mod block_cholesky;
 pub mod bundle;
 mod frame;
 mod inertia;
+mod look;
 mod loops;
 mod map;
 mod mapping;
@@ -28,7 +29,7 @@ pub use map::{
     Observation, PointId, PointParts, View, ViewParts, VslamMap,
 };
 pub use report::{
-    FrameRefusal, FrameReport, LostReason, MappingReport, StartReason, TrackingState,
+    FrameRefusal, FrameReport, ImageFault, LostReason, MappingReport, StartReason, TrackingState,
     TrajectoryEntry,
 };
 pub use settings::VslamSettings;

@@ -67,8 +67,12 @@ pub enum StartReason {
     FewKeypoints,
     /// Too little of the reference frame is still in view; a new one was taken.
     FewMatches,
-    /// The camera has not moved sideways far enough, or only turned.
+    /// The image is not fit to be looked at.
+    Image(ImageFault),
+    /// The camera has not moved sideways far enough.
     LowParallax,
+    /// The camera has turned on the spot.
+    OnlyTurned,
     /// Two explanations of the motion are equally good.
     Ambiguous,
     /// The first points did not survive refinement.
@@ -86,10 +90,26 @@ pub enum LostReason {
     FewInliers,
     /// The place is not recognised.
     UnknownPlace,
+    /// The image is not fit to be looked at.
+    Image(ImageFault),
     /// What the image shows lies elsewhere than the camera can have turned to.
     AgainstGyroscope,
     /// The frame was refused.
     Refused(FrameRefusal),
+}
+
+/// What is wrong with an image in which nothing was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageFault {
+    /// Night, or a covered lens.
+    Dark,
+    Overexposed,
+    /// Far less sharp than the images before, along rows or columns.
+    Blurred,
+    /// Far rougher than the images before, as with a bad radio link.
+    Noisy,
+    /// Much brighter or darker than the images before.
+    ExposureChanged,
 }
 
 /// Why a frame was not looked at.
@@ -131,6 +151,8 @@ impl fmt::Display for StartReason {
             Self::FewKeypoints => "too few corners in the image",
             Self::FewMatches => "too little of the first view is still in sight",
             Self::LowParallax => "the camera has not moved sideways far enough",
+            Self::OnlyTurned => "the camera has only turned",
+            Self::Image(fault) => return fault.fmt(f),
             Self::Ambiguous => "two motions explain the images equally well",
             Self::Unstable => "the first points were not confirmed",
             Self::Refused(refusal) => return refusal.fmt(f),
@@ -144,8 +166,21 @@ impl fmt::Display for LostReason {
             Self::FewKeypoints => "too few corners in the image",
             Self::FewInliers => "too little of the image agrees with the map",
             Self::UnknownPlace => "this place is not in the map",
+            Self::Image(fault) => return fault.fmt(f),
             Self::AgainstGyroscope => "the gyroscope says that the camera looks elsewhere",
             Self::Refused(refusal) => return refusal.fmt(f),
+        })
+    }
+}
+
+impl fmt::Display for ImageFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Dark => "the image is dark",
+            Self::Overexposed => "the image is overexposed",
+            Self::Blurred => "the image is blurred",
+            Self::Noisy => "the image is noisy",
+            Self::ExposureChanged => "the brightness changed at once",
         })
     }
 }

@@ -8,6 +8,7 @@ mod grow_map;
 mod prior;
 mod recall;
 mod revisit;
+mod state;
 #[cfg(test)]
 mod tests;
 mod waiting;
@@ -26,6 +27,7 @@ use waiting::Waiting;
 use crate::bundle::Workspace;
 use crate::frame::Frame;
 use crate::inertia::Inertia;
+use crate::look::{Look, UsualLook};
 use crate::loops::Loops;
 use crate::mapping::{Mapper, update_neighbours};
 use crate::optics::Optics;
@@ -35,8 +37,8 @@ use crate::start::Starter;
 use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, tracked_points};
 use crate::trajectory::FrameRecord;
 use crate::{
-    FrameRefusal, FrameReport, KeyframeId, LostReason, MapId, MappingReport, PointId, StartReason,
-    TrackingState, TrajectoryEntry, VslamMap, VslamSettings,
+    FrameReport, KeyframeId, MapId, MappingReport, PointId, TrackingState, TrajectoryEntry,
+    VslamMap, VslamSettings,
 };
 
 /// Monocular simultaneous localisation and mapping.
@@ -52,6 +54,9 @@ pub struct Vslam {
     settings: VslamSettings,
     inertia: Inertia,
     ups: Ups,
+    /// Of the newest frame, and of those in which the camera was found.
+    look: Look,
+    usual_look: UsualLook,
     front_end: FrontEnd,
     rng: ChaCha8Rng,
     workspace: Workspace,
@@ -111,6 +116,8 @@ impl Vslam {
             optics: Optics::new(camera.clone(), settings.keypoint_sigma_px),
             inertia: Inertia::default(),
             ups: Ups::default(),
+            look: Look::default(),
+            usual_look: UsualLook::default(),
             front_end: FrontEnd::new(camera, &settings),
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
             workspace: Workspace::default(),
@@ -149,6 +156,7 @@ impl Vslam {
             self.map_frame();
         }
         let captured_at = extracted.captured_at;
+        let look = extracted.look;
         let mut frame = match self.admit(extracted) {
             Ok(frame) => frame,
             Err(refusal) => {
@@ -156,15 +164,17 @@ impl Vslam {
                 return self.report(captured_at, outcome, 0);
             }
         };
+        self.look = look;
         let last_at = self.newest_at.replace(captured_at);
         self.ups.begin_frame(self.inertia.up_in_camera());
         frame.frame_idx = self.trajectory.len() as u64;
         let keypoint_count = frame.observations.len();
-        let outcome = match self.mode {
+        let mut outcome = match self.mode {
             Mode::Starting(_) => self.start(frame, last_at),
             Mode::Recalling { since } => self.recall(frame, since),
             Mode::Following { .. } => self.follow(frame),
         };
+        outcome.state = self.explain(outcome.state);
         self.report(captured_at, outcome, keypoint_count)
     }
 
@@ -200,23 +210,6 @@ impl Vslam {
             .zip(&self.trajectory)
             .map(|(frame_idx, record)| record.entry(frame_idx, self.maps()))
             .collect()
-    }
-
-    fn admit(&self, extracted: ExtractedFrame) -> Result<Frame, FrameRefusal> {
-        let frame = extracted.content?;
-        let is_newer = self.newest_at.is_none_or(|at| extracted.captured_at > at);
-        is_newer.then_some(frame).ok_or(FrameRefusal::OutOfOrder)
-    }
-
-    fn refused(&self, refusal: FrameRefusal) -> TrackingState {
-        match self.mode {
-            Mode::Starting(_) => TrackingState::Starting {
-                reason: StartReason::Refused(refusal),
-            },
-            Mode::Recalling { .. } | Mode::Following { .. } => TrackingState::Lost {
-                reason: LostReason::Refused(refusal),
-            },
-        }
     }
 
     fn start(&mut self, mut frame: Frame, last_at: Option<Timestamp>) -> Outcome {

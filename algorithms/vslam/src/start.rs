@@ -165,6 +165,7 @@ fn two_view(
     };
     reconstruct(&correspondences, &settings, rng).map_err(|refusal| match refusal {
         TwoViewRefusal::TooFewMatches { .. } => StartReason::FewMatches,
+        TwoViewRefusal::PureRotation if has_turned(&correspondences) => StartReason::OnlyTurned,
         TwoViewRefusal::PureRotation | TwoViewRefusal::LowParallax { .. } => {
             StartReason::LowParallax
         }
@@ -173,6 +174,18 @@ fn two_view(
             StartReason::Unstable
         }
     })
+}
+
+/// Whether keypoints moved at all; a camera that stands still has not turned either.
+fn has_turned(correspondences: &[Correspondence]) -> bool {
+    let shifts = correspondences
+        .iter()
+        .map(|one| (one.second - one.first).norm());
+    let mut shifts: Vec<f64> = shifts.collect();
+    shifts.sort_by(f64::total_cmp);
+    shifts
+        .get(shifts.len() / 2)
+        .is_some_and(|shift| *shift > PARALLAX_RAD_MIN)
 }
 
 /// The map of two views, in units of the median depth of its points before the first.

@@ -110,7 +110,10 @@ impl Vslam {
         motion.missed_count += 1;
         let lost_s = frame.captured_at - motion.last.captured_at;
         let small = self.map.keyframe_count() < SMALL_MAP_KEYFRAMES;
-        let give_up = (small && motion.missed_count >= SMALL_MAP_PATIENCE) || lost_s > PATIENCE_S;
+        // An image in which nothing can be seen is no new place.
+        let unseen = self.look.fault(&self.usual_look).is_some();
+        let missed = small && motion.missed_count >= SMALL_MAP_PATIENCE && !unseen;
+        let give_up = missed || lost_s > PATIENCE_S;
         if give_up {
             self.restart();
         }

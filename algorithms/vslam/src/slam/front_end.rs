@@ -5,6 +5,7 @@ use features::{Extractor, ExtractorSettings, Features};
 use geometry::Timestamp;
 
 use crate::frame::Frame;
+use crate::look::Look;
 use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR, Optics};
 use crate::{FrameRefusal, VslamSettings};
 
@@ -23,6 +24,7 @@ pub struct FrontEnd {
 #[derive(Clone, Debug)]
 pub struct ExtractedFrame {
     pub(crate) captured_at: Timestamp,
+    pub(crate) look: Look,
     pub(crate) content: Result<Frame, FrameRefusal>,
 }
 
@@ -52,6 +54,7 @@ impl FrontEnd {
         };
         ExtractedFrame {
             captured_at,
+            look: Look::of(image),
             content,
         }
     }

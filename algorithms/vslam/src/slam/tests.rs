@@ -1,5 +1,6 @@
 //! The whole machine on small rendered worlds.
 
+mod faults;
 mod gyro;
 mod recall;
 mod world;
