@@ -5,7 +5,7 @@ use geometry::{Map, umeyama};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-use super::world::{self, World, camera};
+use super::world::{self, Pose, World, camera};
 use super::{machine, pose, stamp};
 use crate::{
     LostReason, MapParts, MapPartsError, TrackingState, ViewParts, Vslam, VslamMap, VslamSettings,
@@ -86,6 +86,30 @@ fn the_second_session_goes_on_in_the_frame_of_the_first() {
     };
     let worst = tracked.iter().map(error).fold(0.0, f64::max);
     assert!(worst < 0.03, "{worst} m");
+}
+
+#[test]
+fn every_place_of_a_continued_map_is_recognised_at_first_sight() {
+    // Along the wall and turning with it: the ends of the walk see next to nothing of its middle,
+    // so that only the looks of the keyframes there can tell where it is.
+    let pose = |frame: usize| Pose {
+        position: Vector3::new(-4.5 + 0.06 * frame as f64, 0.0, 0.0),
+        yaw_rad: -0.75 + 0.01 * frame as f64,
+        pitch_rad: 0.0,
+    };
+    let world = World::new(7);
+    let mut first = machine();
+    for frame in 0..150 {
+        first.process(&world.render(&pose(frame)), stamp(frame));
+    }
+    let parts = first.map().to_parts();
+    let settings = VslamSettings::default();
+    for frame in [20, 65, 75, 85, 130] {
+        let map = reassemble(&parts).unwrap();
+        let mut second = Vslam::continuing(camera(), settings.clone(), map);
+        let (report, _) = second.process(&world.render(&pose(frame)), stamp(0));
+        assert_eq!(report.state, TrackingState::Tracking, "{frame}");
+    }
 }
 
 #[test]
