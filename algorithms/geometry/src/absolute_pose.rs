@@ -3,7 +3,7 @@
 //! Observations lie on the ideal plane `(x/z, y/z)`, so that no camera model is needed here.
 //! [`ransac_absolute_pose`] finds a pose without a start, [`refine_absolute_pose`] makes one exact.
 
-use nalgebra::{Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix6, Vector2, Vector3};
 
 use crate::{Camera, Transform};
 
@@ -16,7 +16,7 @@ mod tests;
 
 pub use p3p::p3p;
 pub use ransac::{RansacSettings, ransac_absolute_pose};
-pub use refine::{RefineSettings, d_position_d_pose, refine_absolute_pose};
+pub use refine::{PositionPrior, RefineSettings, d_position_d_pose, refine_absolute_pose};
 
 /// The 95 % quantile of χ² with two degrees of freedom.
 pub const CHI_SQUARED_2_P95: f64 = 5.991;
@@ -30,6 +30,22 @@ pub struct PointObservation {
     pub position: Vector2<f64>,
     /// Standard deviation of each coordinate of `position`, in the same unit.
     pub sigma: f64,
+    /// One standard deviation of the point's own place as the camera would see it, where that is
+    /// uncertain along one line, as the range of a point is; zero for a point that is exact.
+    pub blur: Vector2<f64>,
+}
+
+impl PointObservation {
+    /// Makes an error on the plane one of unit covariance: the inverse root of `σ² I + b bᵀ`.
+    fn whitener(&self) -> Matrix2<f64> {
+        let blur_squared = self.blur.norm_squared();
+        if blur_squared == 0.0 {
+            return Matrix2::identity() / self.sigma;
+        }
+        let along = 1.0 / (1.0 + blur_squared / (self.sigma * self.sigma)).sqrt();
+        let outer = self.blur * self.blur.transpose() / blur_squared;
+        (Matrix2::identity() - outer * (1.0 - along)) / self.sigma
+    }
 }
 
 /// Why no pose was found.
@@ -97,6 +113,6 @@ fn residual_squared<World>(
         return None;
     }
     let predicted = point_in_camera.xy() / point_in_camera.z;
-    let whitened = (predicted - observation.position) / observation.sigma;
+    let whitened = observation.whitener() * (predicted - observation.position);
     Some(whitened.norm_squared()).filter(|squared| squared.is_finite())
 }

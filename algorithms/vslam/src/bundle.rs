@@ -14,7 +14,6 @@ mod workspace;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use linearise::range_residual;
 pub use minimise::adjust;
 pub use workspace::Workspace;
 
@@ -52,21 +51,6 @@ impl BundleObservation {
     }
 }
 
-/// What is known beforehand of a point's distance from a place, say from its surroundings.
-///
-/// Holds points that their views do not: where a camera only turns, no ray says how far.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RangePrior {
-    /// Which of [`BundleProblem::points`].
-    pub point_idx: usize,
-    /// From where the distance is measured; it stays where it is.
-    pub centre_in_map: Vector3<f64>,
-    /// The most likely inverse distance.
-    pub inverse_range: f64,
-    /// Standard deviation of `inverse_range`.
-    pub sigma: f64,
-}
-
 /// What is to be fitted; [`adjust`] overwrites the poses and points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BundleProblem {
@@ -76,8 +60,6 @@ pub struct BundleProblem {
     pub points: Vec<Vector3<f64>>,
     /// In any order. What is not finite, or has a sigma that is not positive, is an outlier.
     pub observations: Vec<BundleObservation>,
-    /// In the order of the points, at most one for each.
-    pub range_priors: Vec<RangePrior>,
 }
 
 /// How long to optimise, and what to leave out.

@@ -3,6 +3,7 @@
 mod block_cholesky;
 pub mod bundle;
 mod frame;
+mod held;
 mod inertia;
 mod look;
 mod loops;

@@ -77,6 +77,7 @@ impl Mapper {
         self.recent.extend(directions);
         update_neighbours(map, id);
         let window = adjust::adjust_local(map, id, &mut self.workspace);
+        directions::settle_directions(map, &window);
         cull_keyframes::cull(map, id);
         self.unsettled.push(id);
         let settled = self.settle(map, &window);

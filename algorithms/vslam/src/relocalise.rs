@@ -3,6 +3,7 @@
 use features::matching::{MatchSettings, match_mutual};
 use geometry::absolute_pose::{PointObservation, RansacSettings, ransac_absolute_pose};
 use geometry::{Camera, Map, Transform};
+use nalgebra::Vector2;
 use rand_chacha::ChaCha8Rng;
 
 use crate::frame::Frame;
@@ -40,6 +41,7 @@ pub(crate) fn locate_near(
                 point_in_world: map.point(point)?.position_in_map,
                 position: frame.observations[idx].position,
                 sigma: frame.observations[idx].sigma,
+                blur: Vector2::zeros(),
             })
         })
         .collect();
@@ -143,7 +145,7 @@ fn confirm(
 ) -> Option<Tracked> {
     let local = LocalMap::around(map, frame)?;
     match_local_map(optics, map, &local, pose, frame);
-    let fit = refine(map, pose, frame, INLIERS_MIN)?;
-    let tracked = track_local_map(optics, map, frame, &fit.camera_from_map).ok()?;
+    let fit = refine(map, pose, frame, INLIERS_MIN, None)?;
+    let tracked = track_local_map(optics, map, frame, &fit.camera_from_map, None).ok()?;
     (tracked.inlier_count >= RECOGNISED_INLIERS_MIN).then_some(tracked)
 }

@@ -13,9 +13,10 @@ use rand_chacha::ChaCha8Rng;
 pub(crate) use keyframe_decision::{KeyframeClock, wants_keyframe};
 pub(crate) use local_map::{LocalMap, match_local_map};
 pub(crate) use predict::Motion;
-pub(crate) use refine::refine;
+pub(crate) use refine::{Whereabouts, refine};
 
 use crate::frame::Frame;
+use crate::held::PLACED_MIN;
 use crate::map::Place;
 use crate::optics::Optics;
 use crate::relocalise::locate_near;
@@ -28,7 +29,7 @@ const FIRST_INLIERS_MIN: usize = 12;
 
 /// A pose by few keypoints is a coincidence if the frame misses most of what it should show there.
 const FOUND_SHARE_MIN: f64 = 0.2;
-const CERTAIN_INLIERS: usize = 100;
+const CERTAIN_INLIERS: usize = 50;
 
 /// A frame whose pose is known, and what the next one needs of it.
 #[derive(Clone, Debug)]
@@ -84,7 +85,17 @@ pub(crate) fn track(
     let first = track_by_motion(optics, map, motion, frame)
         .or_else(|| locate_near(map, motion.last.place.keyframe, frame, rng))
         .ok_or(LostReason::FewInliers)?;
-    track_local_map(optics, map, frame, &first)
+    let whereabouts = motion.whereabouts(map, frame.captured_at);
+    let tracked = track_local_map(optics, map, frame, &first, whereabouts.as_ref())?;
+    let points = frame
+        .observations
+        .iter()
+        .filter_map(|one| map.point(one.point?));
+    let ranged_count = points.filter(|point| point.has_range()).count();
+    if ranged_count < PLACED_MIN && motion.is_adrift(frame.captured_at) {
+        return Err(LostReason::OnlyDirections);
+    }
+    Ok(tracked)
 }
 
 /// The pose from the points of the last frame, searched where constant velocity expects them.
@@ -95,6 +106,7 @@ fn track_by_motion(
     frame: &mut Frame,
 ) -> Option<Transform<Camera, Map>> {
     let predicted = motion.predict(map, frame.captured_at)?;
+    let whereabouts = motion.whereabouts(map, frame.captured_at);
     for window_px in [15.0, 30.0] {
         frame.forget_points();
         match_points::match_last_frame(
@@ -104,7 +116,13 @@ fn track_by_motion(
             (&predicted, window_px),
             frame,
         );
-        if let Some(fit) = refine(map, &predicted, frame, FIRST_INLIERS_MIN) {
+        if let Some(fit) = refine(
+            map,
+            &predicted,
+            frame,
+            FIRST_INLIERS_MIN,
+            whereabouts.as_ref(),
+        ) {
             return Some(fit.camera_from_map);
         }
     }
@@ -118,10 +136,11 @@ pub(crate) fn track_local_map(
     map: &mut VslamMap,
     frame: &mut Frame,
     first: &Transform<Camera, Map>,
+    whereabouts: Option<&Whereabouts>,
 ) -> Result<Tracked, LostReason> {
     let local = LocalMap::around(map, frame).ok_or(LostReason::FewInliers)?;
     let expected_count = match_local_map(optics, map, &local, first, frame);
-    let fit = refine(map, first, frame, INLIERS_MIN).ok_or(LostReason::FewInliers)?;
+    let fit = refine(map, first, frame, INLIERS_MIN, whereabouts).ok_or(LostReason::FewInliers)?;
     let seen = frame
         .observations
         .iter()

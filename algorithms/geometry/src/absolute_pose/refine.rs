@@ -1,6 +1,6 @@
 //! The most likely pose near a start, and its covariance.
 
-use nalgebra::{Matrix6, Vector2, Vector6};
+use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
 
 use super::{CHI_SQUARED_2_P95, PointObservation, PoseRefusal, RefinedPose, residual_squared};
 use crate::{Camera, RobustKernel, Transform};
@@ -18,6 +18,17 @@ pub struct RefineSettings {
     pub iteration_count: usize,
     /// A pose that explains fewer observations is refused; at least three.
     pub inlier_count_min: usize,
+    /// Where the camera should be, for observations that hardly say.
+    pub position_prior: Option<PositionPrior>,
+}
+
+/// What is known beforehand of where a camera is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionPrior {
+    /// Its centre, in the frame of the points.
+    pub centre_in_world: Vector3<f64>,
+    /// Standard deviation of each coordinate.
+    pub sigma: f64,
 }
 
 impl Default for RefineSettings {
@@ -27,6 +38,7 @@ impl Default for RefineSettings {
             round_count: 4,
             iteration_count: 8,
             inlier_count_min: 6,
+            position_prior: None,
         }
     }
 }
@@ -86,6 +98,7 @@ fn conclude<World>(
         observations,
         &inliers,
         RobustKernel::None,
+        settings,
     );
     let variance_factor = variance_factor(normal.cost, inlier_count, settings.chi_squared_max);
     let covariance = normal.hessian.cholesky().ok_or(PoseRefusal::Degenerate)?;
@@ -140,7 +153,7 @@ fn optimise<World>(
     settings: &RefineSettings,
 ) -> Option<Transform<Camera, World>> {
     let mut pose = start;
-    let mut normal = accumulate(&pose, observations, inliers, kernel);
+    let mut normal = accumulate(&pose, observations, inliers, kernel, settings);
     let mut damping = 1e-6;
     for _ in 0..settings.iteration_count {
         let mut damped = normal.hessian;
@@ -149,7 +162,7 @@ fn optimise<World>(
         }
         let step = damped.cholesky()?.solve(&-normal.gradient);
         let moved = moved(&pose, &step);
-        let moved_normal = accumulate(&moved, observations, inliers, kernel);
+        let moved_normal = accumulate(&moved, observations, inliers, kernel, settings);
         if moved_normal.cost > normal.cost || moved_normal.cost.is_nan() {
             damping *= 100.0;
             continue;
@@ -183,6 +196,7 @@ fn accumulate<World>(
     observations: &[PointObservation],
     inliers: &[bool],
     kernel: RobustKernel,
+    settings: &RefineSettings,
 ) -> NormalEquations {
     let rotation = pose.rotation_matrix();
     let mut normal = NormalEquations {
@@ -203,20 +217,35 @@ fn accumulate<World>(
         }
         let inverse_depth = 1.0 / point_in_camera.z;
         let predicted = point_in_camera.xy() * inverse_depth;
-        let inverse_sigma = 1.0 / observation.sigma;
-        let residual = (predicted - observation.position) * inverse_sigma;
+        let whitener = observation.whitener();
+        let residual = whitener * (predicted - observation.position);
         let squared = residual.norm_squared();
         normal.cost += kernel.cost(squared);
         let weight = kernel.weight(squared);
-        let rows = d_position_d_pose(&predicted, inverse_depth);
-        for (row, residual) in rows.iter().zip(residual.iter()) {
-            let row = row * inverse_sigma;
+        let [first, second] = d_position_d_pose(&predicted, inverse_depth);
+        for (axis, residual) in residual.iter().enumerate() {
+            let row = first * whitener[(axis, 0)] + second * whitener[(axis, 1)];
             normal.gradient += row * (weight * residual);
             add_outer_product_lower(&mut normal.hessian, &row, weight);
         }
     }
+    if let Some(prior) = &settings.position_prior {
+        normal.add_prior(pose, prior);
+    }
     normal.hessian.fill_upper_triangle_with_lower_triangle();
     normal
+}
+
+impl NormalEquations {
+    fn add_prior<World>(&mut self, pose: &Transform<Camera, World>, prior: &PositionPrior) {
+        // The error along the camera's axes, of which ν is the derivative's identity.
+        let error = -(*pose * prior.centre_in_world) / prior.sigma;
+        self.cost += error.norm_squared();
+        for axis in 0..3 {
+            self.gradient[3 + axis] += error[axis] / prior.sigma;
+            self.hessian[(3 + axis, 3 + axis)] += 1.0 / (prior.sigma * prior.sigma);
+        }
+    }
 }
 
 fn add_outer_product_lower(hessian: &mut Matrix6<f64>, row: &Vector6<f64>, weight: f64) {

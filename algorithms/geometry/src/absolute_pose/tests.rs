@@ -47,6 +47,7 @@ fn scene(seed: u64, point_count: usize, outlier_share: f64, noise: f64) -> Scene
             point_in_world,
             position: seen,
             sigma: SIGMA,
+            blur: Vector2::zeros(),
         });
     }
     Scene {

@@ -158,6 +158,7 @@ impl Attempt<'_> {
                 point_in_world: one.landmark.point,
                 position: feature.position,
                 sigma: (feature.sigma * feature.sigma + slack_squared).sqrt(),
+                blur: Vector2::zeros(),
             }
         };
         matches.iter().map(observe).collect()
@@ -221,6 +222,7 @@ impl Attempt<'_> {
                 point_in_world: one.landmark.point,
                 position: feature.position,
                 sigma: variance.sqrt(),
+                blur: Vector2::zeros(),
             }
         };
         matches.iter().map(observe).collect()

@@ -5,7 +5,7 @@ use geometry::absolute_pose::d_position_d_pose;
 use nalgebra::{Matrix3, Matrix6x3, Vector2, Vector3, Vector6};
 
 use super::workspace::{Estimate, PointBlock, PoseBlock, SortedObservation};
-use super::{BundleObservation, BundleProblem, RangePrior, Workspace};
+use super::{BundleObservation, BundleProblem, Workspace};
 use crate::triangulation::d_position_d_point;
 
 /// What an observation costs whose point is behind the camera: as a residual of 100 sigmas.
@@ -26,23 +26,7 @@ pub(super) fn cost(
         });
         sum += kernel.cost(squared);
     }
-    for prior in &problem.range_priors {
-        let (residual, _) = range_residual(prior, &estimate.points[prior.point_idx]);
-        sum += residual * residual;
-    }
     sum
-}
-
-/// The whitened residual of an inverse range, and its derivative by the point.
-pub(crate) fn range_residual(
-    prior: &RangePrior,
-    point_in_map: &Vector3<f64>,
-) -> (f64, Vector3<f64>) {
-    let ray = point_in_map - prior.centre_in_map;
-    // At its very centre a point has no range; there it counts as very near.
-    let inverse_range = 1.0 / ray.norm().max(1e-9);
-    let residual = (inverse_range - prior.inverse_range) / prior.sigma;
-    (residual, ray * (-inverse_range.powi(3) / prior.sigma))
 }
 
 /// The squared, whitened residual of each observation, `None` behind the camera.
@@ -78,13 +62,6 @@ pub(super) fn linearise(problem: &BundleProblem, workspace: &mut Workspace, kern
             }
         }
         workspace.point_blocks[point_idx] = point_block;
-    }
-    for prior in &problem.range_priors {
-        let point = &workspace.current.points[prior.point_idx];
-        let (residual, d_residual_d_point) = range_residual(prior, point);
-        let block = &mut workspace.point_blocks[prior.point_idx];
-        block.gradient += d_residual_d_point * residual;
-        block.hessian += d_residual_d_point * d_residual_d_point.transpose();
     }
     for block in &mut workspace.pose_blocks {
         block.hessian.fill_upper_triangle_with_lower_triangle();

@@ -1,7 +1,7 @@
 //! Landmarks.
 
 use features::Descriptor;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::frame::Viewpoint;
 use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR};
@@ -81,22 +81,24 @@ impl MapPoint {
         Some(self.views[position.ok()?].observation_idx as usize)
     }
 
-    /// How much its uncertain range blurs where a camera shows it, as a variance on the ideal
+    /// How far one standard deviation of its range moves where a camera shows it, on the ideal
     /// plane; nothing where its range is known.
-    pub(crate) fn blur_variance(
+    pub(crate) fn blur(
         &self,
         viewpoint: &Viewpoint,
         point_in_camera: &Vector3<f64>,
-    ) -> f64 {
+    ) -> Vector2<f64> {
         if self.has_range() || point_in_camera.z <= 0.0 {
-            return 0.0;
+            return Vector2::zeros();
         }
+        // The covariance of such a point is that of its range: of rank one.
+        let axis = self.covariance_in_map.diagonal().imax();
+        let sigma = self.covariance_in_map[(axis, axis)].sqrt();
+        let along_ray = self.covariance_in_map.column(axis) / sigma.max(f64::MIN_POSITIVE);
         let inverse_depth = 1.0 / point_in_camera.z;
         let position = point_in_camera.xy() * inverse_depth;
-        d_position_d_point(viewpoint.rotation(), &position, inverse_depth)
-            .iter()
-            .map(|row| (row * self.covariance_in_map * row.transpose()).x)
-            .sum()
+        let [first, second] = d_position_d_point(viewpoint.rotation(), &position, inverse_depth);
+        Vector2::new((first * along_ray).x, (second * along_ray).x)
     }
 
     /// The pyramid level on which it should be found from this distance.

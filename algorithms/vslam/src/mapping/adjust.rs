@@ -2,13 +2,12 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::directions::{self, range_prior, release_range};
-use super::grow::parallax_rad_min;
 use crate::bundle::{
     BundleObservation, BundlePose, BundleProblem, BundleReport, BundleSettings, Workspace, adjust,
 };
+use crate::held::is_placed;
 use crate::triangulation::{Sighting, parallax_rad};
-use crate::{KeyframeId, PointId, VslamMap};
+use crate::{KeyframeId, MapPoint, PointId, VslamMap};
 
 /// Keyframes that a local adjustment moves, at most.
 const WINDOW_MAX: usize = 12;
@@ -81,7 +80,10 @@ pub(crate) fn adjust_all(
 /// At least one keyframe is fixed. A young map has no border: then its scale is held by the
 /// damping alone, so that what the first two views got wrong is not fixed for ever.
 fn select(map: &VslamMap, window: &[KeyframeId]) -> Selection {
-    let points = map.points_of(window);
+    // The others say nothing of where cameras are.
+    let ranged = |point: &PointId| map.point(*point).is_some_and(MapPoint::has_range);
+    let mut points = map.points_of(window);
+    points.retain(ranged);
     let seeing = map.seen_by(points.iter().copied());
     let border = seeing
         .iter()
@@ -143,31 +145,18 @@ fn run(
 
 /// Brings what is known of a point up to date after it was adjusted.
 pub(crate) fn renew_point(map: &mut VslamMap, id: PointId, covariance: Option<&Matrix3<f64>>) {
-    let expected = range_prior(map, id, 0);
-    if let (Some(point), Some(adjusted)) = (map.point_mut(id), covariance) {
-        point.covariance_in_map = match expected {
-            Some(prior) => directions::covariance(&prior, &point.position_in_map),
-            None => *adjusted,
-        };
+    if let (Some(point), Some(covariance)) = (map.point_mut(id), covariance) {
+        point.covariance_in_map = *covariance;
     }
     update_parallax(map, id);
-    release_range(map, id, parallax_rad_min);
     map.refresh_point(id);
 }
 
 /// By how much the points that each keyframe sees moved away from it: the median of the ratios.
 pub(crate) fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f64> {
     let mut ratios: Vec<Vec<f64>> = vec![Vec::new(); before.poses.len()];
-    let mut has_range = vec![true; before.points.len()];
-    for prior in &before.range_priors {
-        has_range[prior.point_idx] = false;
-    }
     for observation in &before.observations {
         let (pose_idx, point_idx) = (observation.pose_idx, observation.point_idx);
-        // Where only directions are known, distances say nothing of the scale.
-        if !has_range[point_idx] {
-            continue;
-        }
         let depth = |problem: &BundleProblem| {
             (problem.poses[pose_idx].camera_from_map * problem.points[point_idx]).z
         };
@@ -189,26 +178,30 @@ pub(crate) type ViewName = (PointId, KeyframeId);
 fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewName>) {
     let mut problem = BundleProblem::default();
     let mut views = Vec::new();
+    let mut placed = Vec::with_capacity(selection.keyframes.len());
     for (id, &fixed) in selection.keyframes.iter().zip(&selection.fixed) {
         let keyframe = map
             .keyframe(*id)
             .expect("the selection holds the map's keyframes");
         problem.poses.push(BundlePose {
             camera_from_map: keyframe.camera_from_map,
-            fixed,
+            fixed: fixed || !is_placed(map, keyframe),
         });
+        placed.push(is_placed(map, keyframe));
     }
     for (point_idx, id) in selection.points.iter().enumerate() {
         let point = map
             .point(*id)
             .expect("the selection holds the map's points");
         problem.points.push(point.position_in_map);
-        let prior = range_prior(map, *id, point_idx);
-        problem.range_priors.extend(prior);
         for view in &point.views {
             let Ok(pose_idx) = selection.keyframes.binary_search(&view.keyframe) else {
                 continue;
             };
+            // It cannot move, and where it is was not measured.
+            if !placed[pose_idx] {
+                continue;
+            }
             let keyframe = map
                 .keyframe(view.keyframe)
                 .expect("views name the map's keyframes");
@@ -227,7 +220,7 @@ fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewNam
 
 /// The widest angle only grows while views are added, so a few views tell it well enough.
 fn update_parallax(map: &mut VslamMap, id: PointId) {
-    let Some(point) = map.point(id).filter(|point| point.has_range()) else {
+    let Some(point) = map.point(id) else {
         return;
     };
     let chosen = point.views.first().into_iter().chain(point.views.last());

@@ -8,12 +8,12 @@
 use geometry::{Camera, Transform};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::bundle::{RangePrior, range_residual};
+use crate::held::Held;
 use crate::map::{ExpectedRange, NewPoint};
 use crate::optics::{Optics, level_scale};
 use crate::search::{Gate, Wanted, consistent_turns, find};
 use crate::triangulation::{Sighting, accumulate, parallax_rad};
-use crate::{Keyframe, KeyframeId, MapPoint, Observation, PointId, View, VslamMap};
+use crate::{Keyframe, KeyframeId, Observation, PointId, View, VslamMap};
 
 /// Keyframes with which directions are sought, the ones that share most first.
 const PARTNERS_MAX: usize = 3;
@@ -29,6 +29,8 @@ const INVERSE_RANGE_SIGMA: f64 = 0.5;
 /// Squared, whitened residual of either view (χ², two degrees of freedom).
 const CHI_SQUARED_MAX: f64 = 5.99;
 const ITERATION_COUNT: usize = 4;
+/// An inverse range far beyond what was expected is no such point.
+const RATIOS: std::ops::Range<f64> = 0.05..20.0;
 
 /// Adds points that the keyframe and one of those nearest to it see, without regard to parallax;
 /// returns them.
@@ -44,7 +46,7 @@ pub(crate) fn add_directions(optics: &Optics, map: &mut VslamMap, id: KeyframeId
     let Some(keyframe) = map.keyframe(id) else {
         return Vec::new();
     };
-    if Held::by(optics, map, keyframe).suffices(optics, keyframe) {
+    if Held::by(optics, map, &keyframe.observations).suffices() {
         return Vec::new();
     }
     let partners = map.covisible(id).into_iter().take(PARTNERS_MAX);
@@ -53,7 +55,7 @@ pub(crate) fn add_directions(optics: &Optics, map: &mut VslamMap, id: KeyframeId
         let (Some(first), Some(second)) = (map.keyframe(id), map.keyframe(partner)) else {
             continue;
         };
-        let held = Held::by(optics, map, first);
+        let held = Held::by(optics, map, &first.observations);
         let found = match_pair((optics, &held), (first, second), expected);
         added.extend(
             found
@@ -64,90 +66,33 @@ pub(crate) fn add_directions(optics: &Optics, map: &mut VslamMap, id: KeyframeId
     added
 }
 
-/// Drops the expectation once the views tell the range.
-pub(crate) fn release_range(
-    map: &mut VslamMap,
-    id: PointId,
-    parallax_rad_min: impl Fn(f64) -> f64,
-) {
-    let Some(point) = map.point(id).filter(|point| !point.has_range()) else {
-        return;
-    };
-    let sightings: Vec<Sighting> = point
-        .views
-        .iter()
-        .filter_map(|view| {
-            let keyframe = map.keyframe(view.keyframe)?;
-            Some(sighting(
-                keyframe,
-                &keyframe.observations[view.observation_idx as usize],
-            ))
-        })
-        .collect();
-    let sigma = sightings.iter().map(|one| one.sigma).fold(0.0, f64::max);
-    let parallax_rad = parallax_rad(&sightings, &point.position_in_map);
-    if parallax_rad < parallax_rad_min(sigma * std::f64::consts::SQRT_2) {
-        return;
-    }
-    if let Some(point) = map.point_mut(id) {
-        point.expected_range = None;
-        point.parallax_rad = parallax_rad;
+/// Lets directions follow the keyframes that saw them first; `keyframes` are those that moved.
+///
+/// They get a range only where two views pass the same tests as those of any new point.
+pub(crate) fn settle_directions(map: &mut VslamMap, keyframes: &[KeyframeId]) {
+    for id in map.points_of(keyframes) {
+        if let Some(expected) = map.point(id).and_then(|point| point.expected_range) {
+            follow_first_view(map, id, expected);
+            map.refresh_point(id);
+        }
     }
 }
 
-/// Which parts of a keyframe's image points of known range hold.
-struct Held {
-    cells: [bool; CELLS_ALONG * CELLS_ALONG],
-    point_count: usize,
-}
-
-/// Where points of known range hold so many of the keypoints, and so much of the image, no others
-/// are needed.
-const HELD_KEYPOINTS_MIN: f64 = 0.2;
-const HELD_CELLS_MIN: f64 = 0.7;
-
-/// Cells along either side of the image.
-const CELLS_ALONG: usize = 8;
-
-impl Held {
-    fn by(optics: &Optics, map: &VslamMap, keyframe: &Keyframe) -> Self {
-        let mut held = Self {
-            cells: [false; CELLS_ALONG * CELLS_ALONG],
-            point_count: 0,
-        };
-        for observation in &keyframe.observations {
-            let point = observation.point.and_then(|point| map.point(point));
-            if point.is_some_and(MapPoint::has_range) {
-                held.cells[Self::cell(optics, observation)] = true;
-                held.point_count += 1;
-            }
-        }
-        held
-    }
-
-    fn suffices(&self, optics: &Optics, keyframe: &Keyframe) -> bool {
-        let mut textured = [false; CELLS_ALONG * CELLS_ALONG];
-        for observation in &keyframe.observations {
-            textured[Self::cell(optics, observation)] = true;
-        }
-        let count = |cells: &[bool]| cells.iter().filter(|cell| **cell).count() as f64;
-        let keypoint_count = keyframe.observations.len() as f64;
-        self.point_count as f64 >= HELD_KEYPOINTS_MIN * keypoint_count
-            && count(&self.cells) >= HELD_CELLS_MIN * count(&textured)
-    }
-
-    fn holds(&self, optics: &Optics, observation: &Observation) -> bool {
-        self.cells[Self::cell(optics, observation)]
-    }
-
-    fn cell(optics: &Optics, observation: &Observation) -> usize {
-        let size = [optics.camera.width(), optics.camera.height()];
-        let along = [0, 1].map(|axis| {
-            let share = observation.position_px[axis] / size[axis] as f64;
-            // A cast from float saturates: negative becomes 0.
-            ((share * CELLS_ALONG as f64) as usize).min(CELLS_ALONG - 1)
-        });
-        along[1] * CELLS_ALONG + along[0]
+fn follow_first_view(map: &mut VslamMap, id: PointId, expected: ExpectedRange) {
+    let first = map
+        .point(id)
+        .and_then(|point| point.views().first().copied());
+    let seen = first.and_then(|view| {
+        let keyframe = map.keyframe(view.keyframe)?;
+        Some(Guess::new(
+            keyframe,
+            &keyframe.observations[view.observation_idx as usize],
+            expected,
+        ))
+    });
+    if let (Some(guess), Some(point)) = (seen, map.point_mut(id)) {
+        point.position_in_map = guess.point_in_map();
+        point.covariance_in_map = guess.covariance(&point.position_in_map);
     }
 }
 
@@ -223,6 +168,50 @@ fn sighting(keyframe: &Keyframe, observation: &Observation) -> Sighting {
     }
 }
 
+/// A ray, and what is expected of how far it goes.
+#[derive(Clone, Copy, Debug)]
+struct Guess {
+    centre_in_map: Vector3<f64>,
+    ray_in_map: Vector3<f64>,
+    expected: ExpectedRange,
+}
+
+impl Guess {
+    fn new(keyframe: &Keyframe, observation: &Observation, expected: ExpectedRange) -> Self {
+        let ray = observation.position.push(1.0).normalize();
+        Self {
+            centre_in_map: keyframe.centre_in_map(),
+            ray_in_map: keyframe.map_from_camera().rotation() * ray,
+            expected,
+        }
+    }
+
+    fn point_in_map(&self) -> Vector3<f64> {
+        self.centre_in_map + self.ray_in_map / self.expected.inverse_range
+    }
+
+    /// The whitened residual of the inverse range, and its derivative by the point.
+    fn residual(&self, point_in_map: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        let ray = point_in_map - self.centre_in_map;
+        // At its very centre a point has no range; there it counts as very near.
+        let inverse_range = 1.0 / ray.norm().max(1e-9);
+        let residual = (inverse_range - self.expected.inverse_range) / self.expected.sigma;
+        (
+            residual,
+            ray * (-inverse_range.powi(3) / self.expected.sigma),
+        )
+    }
+
+    /// What is uncertain along the ray. Views near each other seem to tell more, but the poses
+    /// that make it so were found by the same points.
+    fn covariance(&self, point_in_map: &Vector3<f64>) -> Matrix3<f64> {
+        let ray = point_in_map - self.centre_in_map;
+        let d_point_d_inverse_range = ray * ray.norm();
+        let variance = self.expected.sigma * self.expected.sigma;
+        d_point_d_inverse_range * d_point_d_inverse_range.transpose() * variance
+    }
+}
+
 /// The most likely point by both views and the expectation.
 fn make_point(
     (first, second): (&Keyframe, &Keyframe),
@@ -233,64 +222,40 @@ fn make_point(
         sighting(first, &first.observations[one]),
         sighting(second, &second.observations[other]),
     ];
-    let prior = RangePrior {
-        point_idx: 0,
-        centre_in_map: first.centre_in_map(),
-        inverse_range: expected.inverse_range,
-        sigma: expected.sigma,
-    };
-    let ray = first.observations[one].position.push(1.0).normalize();
-    let mut point = first.map_from_camera() * (ray / expected.inverse_range);
+    let guess = Guess::new(first, &first.observations[one], expected);
+    let mut point = guess.point_in_map();
     for _ in 0..ITERATION_COUNT {
-        point += normal_step(&sightings, &prior, &point)?.0;
+        point += normal_step(&sightings, &guess, &point)?.0;
     }
-    let (_, worst) = normal_step(&sightings, &prior, &point)?;
-    let range = (point - prior.centre_in_map).norm();
-    let sane = range * expected.inverse_range < 20.0 && range * expected.inverse_range > 0.05;
+    let (_, worst) = normal_step(&sightings, &guess, &point)?;
+    let inverse_range = 1.0 / (point - guess.centre_in_map).norm();
+    let ratio = inverse_range / expected.inverse_range;
     let new = NewPoint {
         position_in_map: point,
-        covariance_in_map: covariance(&prior, &point),
+        covariance_in_map: guess.covariance(&point),
         parallax_rad: parallax_rad(&sightings, &point),
-        expected_range: Some(expected),
+        expected_range: Some(ExpectedRange {
+            inverse_range,
+            ..expected
+        }),
     };
     let view = |keyframe: &Keyframe, idx: usize| View {
         keyframe: keyframe.id,
         observation_idx: idx as u32,
     };
     let views = vec![view(first, one), view(second, other)];
-    (sane && worst <= CHI_SQUARED_MAX).then_some((new, views))
+    (RATIOS.contains(&ratio) && worst <= CHI_SQUARED_MAX).then_some((new, views))
 }
 
 /// A Gauss–Newton step, and the worst squared residual of a view.
 fn normal_step(
     sightings: &[Sighting],
-    prior: &RangePrior,
+    guess: &Guess,
     point: &Vector3<f64>,
 ) -> Option<(Vector3<f64>, f64)> {
     let normal = accumulate(sightings, point)?;
-    let (residual, d_residual_d_point) = range_residual(prior, point);
+    let (residual, d_residual_d_point) = guess.residual(point);
     let hessian = normal.hessian + d_residual_d_point * d_residual_d_point.transpose();
     let gradient = normal.gradient + d_residual_d_point * residual;
     Some((hessian.cholesky()?.solve(&-gradient), normal.worst))
-}
-
-/// What a prior leaves uncertain along the ray. Views near each other seem to tell more, but the
-/// poses that make it so were found by the same points.
-pub(crate) fn covariance(prior: &RangePrior, point_in_map: &Vector3<f64>) -> Matrix3<f64> {
-    let ray = point_in_map - prior.centre_in_map;
-    let d_point_d_inverse_range = ray * ray.norm();
-    d_point_d_inverse_range * d_point_d_inverse_range.transpose() * prior.sigma.powi(2)
-}
-
-/// The prior of a point in a bundle adjustment, measured from the keyframe that saw it first.
-pub(crate) fn range_prior(map: &VslamMap, id: PointId, point_idx: usize) -> Option<RangePrior> {
-    let point = map.point(id)?;
-    let expected = point.expected_range?;
-    let first = map.keyframe(point.views.first()?.keyframe)?;
-    Some(RangePrior {
-        point_idx,
-        centre_in_map: first.centre_in_map(),
-        inverse_range: expected.inverse_range,
-        sigma: expected.sigma,
-    })
 }

@@ -3,6 +3,7 @@
 use geometry::{Camera, Transform};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use crate::held::is_placed;
 use crate::map::NewPoint;
 use crate::optics::{LEVEL_FACTOR, Optics, level_scale};
 use crate::triangulation::{Sighting, TriangulationSettings, triangulate};
@@ -30,7 +31,15 @@ pub(crate) fn triangulate_new(optics: &Optics, map: &mut VslamMap, id: KeyframeI
     let Some(depths) = DepthRange::of(map, id) else {
         return new_points;
     };
-    for neighbour in partners(map, id, depths.median) {
+    let placed = |id| map.keyframe(id).is_some_and(|one| is_placed(map, one));
+    if !placed(id) {
+        return new_points;
+    }
+    let partners: Vec<KeyframeId> = partners(map, id, depths.median)
+        .into_iter()
+        .filter(|partner| placed(*partner))
+        .collect();
+    for neighbour in partners {
         let (Some(first), Some(second)) = (map.keyframe(id), map.keyframe(neighbour)) else {
             continue;
         };

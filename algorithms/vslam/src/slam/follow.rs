@@ -16,7 +16,7 @@ const SMALL_MAP_KEYFRAMES: usize = 6;
 /// How long a small map is looked for, frames.
 const SMALL_MAP_PATIENCE: u32 = 10;
 /// How long a map is looked for before a new one is begun beside it, seconds.
-pub(super) const PATIENCE_S: f64 = 5.0;
+pub(super) const PATIENCE_S: f64 = 2.5;
 /// Maps that are kept beside the one that is followed.
 const EARLIER_MAX: usize = 4;
 /// Every so many frames the camera is looked for in an earlier map, while there is no map.

@@ -51,7 +51,7 @@ impl Vslam {
         let frame_idx = frame.frame_idx as usize;
         let mut points = tracked_points(&frame.observations);
         let mut insertion = None;
-        if wants_keyframe(&self.map, clock, &frame, &tracked) {
+        if wants_keyframe((&self.optics, &self.map), clock, &frame, &tracked) {
             let pose = (tracked.camera_from_map, tracked.reference);
             let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
             let revisit = Revisit {

@@ -4,6 +4,8 @@ use geometry::Timestamp;
 
 use super::Tracked;
 use crate::frame::Frame;
+use crate::held::Held;
+use crate::optics::Optics;
 use crate::{Keyframe, VslamMap};
 
 /// At the latest after this time, if the camera moved.
@@ -15,6 +17,9 @@ const SHARE_URGENT: f64 = 0.5;
 const INLIERS_URGENT: usize = 60;
 /// So do inliers that are fewer than this share of the keypoints, if the camera moved.
 const KEYPOINTS_MIN: f64 = 0.12;
+/// And a map that holds less than this share of the image: in a turn what is new must be seen
+/// twice before it is all there is.
+const HELD_SHARE_MIN: f64 = 0.6;
 /// A camera that moved less than this share of the depth since a recent keyframe sees no parallax.
 const MOTION_MIN: f64 = 0.02;
 /// A turn by one radian counts as much motion as this share of the depth.
@@ -30,7 +35,7 @@ pub(crate) struct KeyframeClock {
 
 /// Whether the map should grow by this frame.
 pub(crate) fn wants_keyframe(
-    map: &VslamMap,
+    (optics, map): (&Optics, &VslamMap),
     clock: &KeyframeClock,
     frame: &Frame,
     tracked: &Tracked,
@@ -50,7 +55,8 @@ pub(crate) fn wants_keyframe(
     }
     let overdue = frame.captured_at - clock.last_keyframe_at >= INTERVAL_MAX_S;
     let thin = (tracked.inlier_count as f64) < KEYPOINTS_MIN * frame.observations.len() as f64;
-    (share < SHARE_MIN || overdue || thin) && motion(map, tracked) > MOTION_MIN
+    let turning = Held::by(optics, map, &frame.observations).share() < HELD_SHARE_MIN;
+    (share < SHARE_MIN || overdue || thin || turning) && motion(map, tracked) > MOTION_MIN
 }
 
 /// Points of the reference keyframe that have proved themselves.

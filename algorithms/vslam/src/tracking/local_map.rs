@@ -114,7 +114,7 @@ fn expect<'a>(optics: &Optics, viewpoint: &Viewpoint, point: &'a MapPoint) -> Op
     }
     let window_px = if viewing_cosine > 0.998 { 4.0 } else { 6.0 };
     let level = point.predicted_level(distance);
-    let blur = point.blur_variance(viewpoint, &point_in_camera).sqrt();
+    let blur = point.blur(viewpoint, &point_in_camera).norm();
     Some(Wanted {
         position,
         radius: window_px * optics.window * level_scale(level) + BLURS * blur,

@@ -33,7 +33,7 @@ pub(crate) fn match_last_frame(
         let Some(position) = optics.project(&point_in_camera) else {
             continue;
         };
-        let blur = point.blur_variance(&viewpoint, &point_in_camera).sqrt();
+        let blur = point.blur(&viewpoint, &point_in_camera).norm();
         let wanted = Wanted {
             position,
             radius: window_px * optics.window * level_scale(tracked.level) + 2.0 * blur,

@@ -3,8 +3,9 @@
 use geometry::{Camera, Map, Timestamp, Transform};
 use nalgebra::UnitQuaternion;
 
-use super::TrackedFrame;
+use super::{TrackedFrame, Whereabouts};
 use crate::VslamMap;
+use crate::held::PLACED_MIN;
 use crate::map::Place;
 
 /// Velocity is carried on for at most this many frame intervals.
@@ -12,6 +13,8 @@ const EXTRAPOLATION_MAX: f64 = 4.0;
 
 /// A gyroscope and the camera agree on a turn of some frames within this.
 const TURN_ERROR_RAD_MAX: f64 = 0.1;
+/// A camera that only turns may go on for so long; what it does beside is not known.
+const UNPLACED_MAX_S: f64 = 1.0;
 
 /// The last tracked frame and how the camera moved there.
 #[derive(Clone, Debug)]
@@ -22,6 +25,8 @@ pub(crate) struct Motion {
     pub(crate) turn: Option<UnitQuaternion<f64>>,
     /// Frames without a pose since.
     pub(crate) missed_count: u32,
+    /// When points of known range last told where the camera was.
+    placed_at: Timestamp,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +39,7 @@ impl Motion {
     /// A camera of which nothing but one frame is known.
     pub(crate) fn starting_at(last: TrackedFrame) -> Self {
         Self {
+            placed_at: last.captured_at,
             last,
             velocity: None,
             turn: None,
@@ -73,6 +79,10 @@ impl Motion {
                 later_from_earlier: later * earlier.inverse(),
                 interval_s,
             });
+        let points = next.points.iter().filter_map(|point| map.point(point.id));
+        if points.filter(|point| point.has_range()).count() >= PLACED_MIN {
+            self.placed_at = next.captured_at;
+        }
         self.last = next;
         self.turn = None;
         self.missed_count = 0;
@@ -90,6 +100,21 @@ impl Motion {
     /// The pose of the last frame, corrected with the map since.
     pub(crate) fn last_pose(&self, map: &VslamMap) -> Option<Transform<Camera, Map>> {
         map.pose(&self.last.place)
+    }
+
+    /// Whether it is too long ago that a place was measured, for one that is only expected.
+    pub(crate) fn is_adrift(&self, at: Timestamp) -> bool {
+        at - self.placed_at > UNPLACED_MAX_S
+    }
+
+    /// Where the camera was last, and should be now.
+    pub(crate) fn whereabouts(&self, map: &VslamMap, at: Timestamp) -> Option<Whereabouts> {
+        let centre = |pose: Transform<Camera, Map>| *pose.inverse().translation();
+        Some(Whereabouts {
+            last_in_map: centre(self.last_pose(map)?),
+            expected_in_map: centre(self.predict(map, at)?),
+            keyframe: map.holder(self.last.place.keyframe)?,
+        })
     }
 
     /// The pose at this time, if the camera went on as it did.

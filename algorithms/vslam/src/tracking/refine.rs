@@ -1,11 +1,14 @@
 //! The pose that fits a frame's matches best.
 
-use geometry::absolute_pose::{PointObservation, RefineSettings, refine_absolute_pose};
+use geometry::absolute_pose::{
+    PointObservation, PositionPrior, RefineSettings, refine_absolute_pose,
+};
 use geometry::{Camera, Map, Transform};
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector3};
 
-use crate::VslamMap;
 use crate::frame::{Frame, Viewpoint};
+use crate::held::{PLACED_MIN, SHARED_DOUBT};
+use crate::{KeyframeId, VslamMap};
 
 /// A pose and how well it is known.
 #[derive(Clone, Debug)]
@@ -15,14 +18,43 @@ pub(crate) struct PoseFit {
     pub(crate) inlier_count: usize,
 }
 
+/// Where a camera should be that went on as it did. It replaces what points of known range would
+/// say where there are too few: of the others a camera learns how it turned, and not how it moved.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Whereabouts {
+    pub(crate) last_in_map: Vector3<f64>,
+    pub(crate) expected_in_map: Vector3<f64>,
+    pub(crate) keyframe: KeyframeId,
+}
+
+impl Whereabouts {
+    fn prior(&self, map: &VslamMap) -> PositionPrior {
+        let depths = map.sorted_depths(self.keyframe);
+        let depth = depths.get(depths.len() / 2).copied().unwrap_or(1.0);
+        let step = self.expected_in_map - self.last_in_map;
+        PositionPrior {
+            centre_in_world: self.last_in_map + step * STEP_KEPT,
+            sigma: STEP_DOUBT * step.norm() + DEPTH_DOUBT * depth.abs(),
+        }
+    }
+}
+
+/// A camera that nothing tells how it moves is thought to come to rest.
+const STEP_KEPT: f64 = 0.7;
+/// How uncertain a step is, as shares of itself and of the distance of what is seen.
+const STEP_DOUBT: f64 = 0.5;
+const DEPTH_DOUBT: f64 = 0.002;
+
 /// Refines a pose by the frame's matches, and forgets the matches that do not agree with it.
 pub(crate) fn refine(
     map: &VslamMap,
     start: &Transform<Camera, Map>,
     frame: &mut Frame,
     inlier_count_min: usize,
+    whereabouts: Option<&Whereabouts>,
 ) -> Option<PoseFit> {
     let viewpoint = Viewpoint::new(*start);
+    let mut ranged_count = 0;
     let mut indices = Vec::with_capacity(frame.observations.len());
     let mut matches = Vec::with_capacity(frame.observations.len());
     for (idx, observation) in frame.observations.iter().enumerate() {
@@ -30,16 +62,21 @@ pub(crate) fn refine(
             continue;
         };
         let point_in_camera = viewpoint.transform(&point.position_in_map);
-        let blur_variance = point.blur_variance(&viewpoint, &point_in_camera);
+        let blur = point.blur(&viewpoint, &point_in_camera) * SHARED_DOUBT;
+        ranged_count += usize::from(point.has_range());
         indices.push(idx);
         matches.push(PointObservation {
             point_in_world: point.position_in_map,
             position: observation.position,
-            sigma: (observation.sigma * observation.sigma + blur_variance).sqrt(),
+            sigma: observation.sigma,
+            blur,
         });
     }
     let settings = RefineSettings {
         inlier_count_min,
+        position_prior: whereabouts
+            .filter(|_| ranged_count < PLACED_MIN)
+            .map(|whereabouts| whereabouts.prior(map)),
         ..RefineSettings::default()
     };
     let fit = refine_absolute_pose(start, &matches, &settings).ok()?;
