@@ -147,5 +147,5 @@ fn confirm(
     match_local_map(optics, map, &local, pose, frame);
     let fit = refine(map, pose, frame, INLIERS_MIN, None)?;
     let tracked = track_local_map(optics, map, frame, &fit.camera_from_map, None).ok()?;
-    (tracked.inlier_count >= RECOGNISED_INLIERS_MIN).then_some(tracked)
+    (tracked.ranged_count >= RECOGNISED_INLIERS_MIN).then_some(tracked)
 }

@@ -248,6 +248,7 @@ impl Vslam {
             camera_from_map,
             covariance: None,
             inlier_count,
+            ranged_count: inlier_count,
             reference: keyframe,
         };
         let last = self

@@ -53,6 +53,8 @@ pub(crate) struct Tracked {
     /// Unknown for the frame with which a map starts.
     pub(crate) covariance: Option<Matrix6<f64>>,
     pub(crate) inlier_count: usize,
+    /// Those of which the map knows the range: they tell where it is.
+    pub(crate) ranged_count: usize,
     /// The keyframe that shares most points with the frame.
     pub(crate) reference: KeyframeId,
 }
@@ -87,12 +89,7 @@ pub(crate) fn track(
         .ok_or(LostReason::FewInliers)?;
     let whereabouts = motion.whereabouts(map, frame.captured_at);
     let tracked = track_local_map(optics, map, frame, &first, whereabouts.as_ref())?;
-    let points = frame
-        .observations
-        .iter()
-        .filter_map(|one| map.point(one.point?));
-    let ranged_count = points.filter(|point| point.has_range()).count();
-    if ranged_count < PLACED_MIN && motion.is_adrift(frame.captured_at) {
+    if tracked.ranged_count < PLACED_MIN && motion.is_adrift(frame.captured_at) {
         return Err(LostReason::OnlyDirections);
     }
     Ok(tracked)
@@ -163,6 +160,7 @@ pub(crate) fn track_local_map(
         camera_from_map: fit.camera_from_map,
         covariance: Some(fit.covariance),
         inlier_count: fit.inlier_count,
+        ranged_count: seen_count,
         reference,
     })
 }

@@ -184,8 +184,11 @@ impl VslamMap {
         };
         let unit = keyframe.unit;
         let points: Vec<PointId> = keyframe.points().collect();
-        for point in points {
+        for &point in &points {
             self.unlink(point, id);
+        }
+        for point in points {
+            self.refresh_point(point);
         }
         self.keyframes.remove(id.0);
         self.culled.insert(id, CulledKeyframe { place, unit });

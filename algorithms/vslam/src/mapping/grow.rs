@@ -50,6 +50,7 @@ pub(crate) fn triangulate_new(optics: &Optics, map: &mut VslamMap, id: KeyframeI
             for view in freed {
                 map.link(id, view);
             }
+            map.refresh_point(id);
             new_points.push(id);
         }
     }

@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::VslamMap;
 use crate::frame::Frame;
+use crate::held::PLACED_MIN;
 use crate::optics::Optics;
 use crate::tracking::{Motion, TrackedFrame, track, tracked_points};
 use crate::trajectory::FrameRecord;
@@ -83,6 +84,9 @@ fn find(
         });
     }
     let tracked = track(optics, map, &Motion::starting_at(later.clone()), frame, rng).ok()?;
+    if tracked.ranged_count < PLACED_MIN {
+        return None;
+    }
     Some(TrackedFrame {
         captured_at,
         place: map.place(tracked.reference, &tracked.camera_from_map)?,

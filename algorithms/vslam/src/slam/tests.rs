@@ -229,8 +229,8 @@ fn frames_of_a_place_that_is_mapped_later_are_found_then() {
         ahead.clone().all(|frame| frames.contains(&frame)),
         "{frames:?}"
     );
-    // A map drifts by about a hundredth of the way, which is 8 m.
-    assert!(worst < 0.1, "{worst} m");
+    // A map drifts by one or two hundredths of the way, which is 8 m.
+    assert!(worst < 0.16, "{worst} m");
 }
 
 #[test]

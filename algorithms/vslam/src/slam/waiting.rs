@@ -13,7 +13,7 @@ use crate::optics::Optics;
 use crate::places::Places;
 use crate::plane_grid::PlaneGrid;
 use crate::relocalise::Relocaliser;
-use crate::tracking::{Motion, TrackedFrame, track, tracked_points};
+use crate::tracking::{Motion, Tracked, TrackedFrame, track, tracked_points};
 use crate::trajectory::FrameRecord;
 use crate::{Observation, VslamMap};
 
@@ -188,7 +188,8 @@ fn locate(
         });
         track(search.optics, map, &motion, frame, search.rng).ok()
     });
-    let by_time = by_time.filter(|tracked| tracked.inlier_count >= INLIERS_MIN);
+    let certain = |one: &Tracked| one.ranged_count >= INLIERS_MIN;
+    let by_time = by_time.filter(certain);
     let tracked = by_time.or_else(|| {
         frame.forget_points();
         let index = (search.optics, search.places);

@@ -139,7 +139,7 @@ fn a_turn_in_the_dark_is_followed_with_a_gyroscope() {
     let dark = WALK_FRAMES..WALK_FRAMES + 10;
     let last = pose(WALK_FRAMES - 1);
     let turning = (0..JERKS + dark.len()).map(|idx| Pose {
-        yaw_rad: last.yaw_rad + 0.035 * idx.min(10) as f64,
+        yaw_rad: last.yaw_rad + 0.055 * idx.min(10) as f64,
         ..last
     });
     let poses: Vec<Pose> = (0..WALK_FRAMES).map(pose).chain(turning).collect();
@@ -151,7 +151,8 @@ fn a_turn_in_the_dark_is_followed_with_a_gyroscope() {
     };
     let images: Vec<Image> = (0..poses.len()).map(image).collect();
     let (slam, reports) = fly(&images, &poses, None);
-    assert!(right_count(&slam, &poses, &reports) < JERKS / 2);
+    let blind_count = right_count(&slam, &poses, &reports);
+    assert!(blind_count < JERKS / 2, "{blind_count}");
     let (slam, reports) = fly(&images, &poses, Some(Flaws::default()));
     assert!(right_count(&slam, &poses, &reports) >= JERKS - 2);
 }
