@@ -1,7 +1,7 @@
 //! Places that come into view again: loops are closed, maps joined.
 //!
 //! What a camera returns to is first suspected by its looks ([`crate::places`]), then proved by
-//! geometry ([`recognise`]), and only then is the map bent ([`close`], [`graph`]).
+//! geometry ([`mod@recognise`]), and only then is the map bent ([`mod@close`], [`mod@graph`]).
 
 mod align;
 mod close;
