@@ -84,10 +84,10 @@ pub(crate) fn track(
     if frame.observations.len() < INLIERS_MIN {
         return Err(LostReason::FewKeypoints);
     }
-    let first = track_by_motion(optics, map, motion, frame)
+    let whereabouts = motion.whereabouts(map, frame.captured_at);
+    let first = track_by_motion(optics, map, (motion, whereabouts.as_ref()), frame)
         .or_else(|| locate_near(map, motion.last.place.keyframe, frame, rng))
         .ok_or(LostReason::FewInliers)?;
-    let whereabouts = motion.whereabouts(map, frame.captured_at);
     let tracked = track_local_map(optics, map, frame, &first, whereabouts.as_ref())?;
     if tracked.ranged_count < PLACED_MIN && motion.is_adrift(frame.captured_at) {
         return Err(LostReason::OnlyDirections);
@@ -99,11 +99,10 @@ pub(crate) fn track(
 fn track_by_motion(
     optics: &Optics,
     map: &VslamMap,
-    motion: &Motion,
+    (motion, whereabouts): (&Motion, Option<&Whereabouts>),
     frame: &mut Frame,
 ) -> Option<Transform<Camera, Map>> {
     let predicted = motion.predict(map, frame.captured_at)?;
-    let whereabouts = motion.whereabouts(map, frame.captured_at);
     for window_px in [15.0, 30.0] {
         frame.forget_points();
         match_points::match_last_frame(
@@ -113,13 +112,7 @@ fn track_by_motion(
             (&predicted, window_px),
             frame,
         );
-        if let Some(fit) = refine(
-            map,
-            &predicted,
-            frame,
-            FIRST_INLIERS_MIN,
-            whereabouts.as_ref(),
-        ) {
+        if let Some(fit) = refine(map, &predicted, frame, FIRST_INLIERS_MIN, whereabouts) {
             return Some(fit.camera_from_map);
         }
     }

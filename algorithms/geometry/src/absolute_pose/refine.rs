@@ -184,14 +184,14 @@ fn moved<World>(pose: &Transform<Camera, World>, step: &Vector6<f64>) -> Transfo
     Transform::<Camera, Camera>::exp(&-step) * *pose
 }
 
-struct NormalEquations {
+pub(super) struct NormalEquations {
     hessian: Matrix6<f64>,
-    gradient: Vector6<f64>,
-    cost: f64,
+    pub(super) gradient: Vector6<f64>,
+    pub(super) cost: f64,
 }
 
 /// Sums `Jᵀ w J`, `Jᵀ w r` and the robust cost over the inliers, in order.
-fn accumulate<World>(
+pub(super) fn accumulate<World>(
     pose: &Transform<Camera, World>,
     observations: &[PointObservation],
     inliers: &[bool],

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::{Map, Transform};
+use crate::{Map, RobustKernel, Transform};
 
 const SIGMA: f64 = 1.0 / 480.0;
 
@@ -127,6 +127,66 @@ fn pose_jacobian_matches_differences() {
             );
         }
     }
+}
+
+#[test]
+fn gradient_with_blur_and_prior_matches_differences_of_the_cost() {
+    let Scene {
+        camera_from_map,
+        mut observations,
+        mut rng,
+        ..
+    } = scene(8, 6, 0.0, SIGMA);
+    for observation in &mut observations {
+        observation.blur = uniform(&mut rng, [0.01, 0.01, 1.0]).xy();
+    }
+    let settings = RefineSettings {
+        position_prior: Some(PositionPrior {
+            centre_in_world: *camera_from_map.inverse().translation() + Vector3::repeat(0.1),
+            sigma: 0.05,
+        }),
+        ..RefineSettings::default()
+    };
+    let inliers = vec![true; observations.len()];
+    let normal = |pose: &Transform<Camera, Map>| {
+        let kernel = RobustKernel::None;
+        refine::accumulate(pose, &observations, &inliers, kernel, &settings)
+    };
+    let ours = normal(&camera_from_map).gradient;
+    let step = 1e-6;
+    for axis in 0..6 {
+        let cost = |width: f64| {
+            let mut delta = Vector6::zeros();
+            delta[axis] = width;
+            let moved = camera_from_map.inverse().perturbed(&delta).inverse();
+            normal(&moved).cost
+        };
+        // The gradient is that of half the cost.
+        let numeric = (cost(step) - cost(-step)) / (4.0 * step);
+        let tolerance = 1e-4 * (1.0 + ours[axis].abs());
+        assert!(
+            (numeric - ours[axis]).abs() < tolerance,
+            "axis {axis}: {numeric} {ours}"
+        );
+    }
+}
+
+#[test]
+fn whitened_errors_have_the_covariance_that_blur_and_noise_make() {
+    let observation = PointObservation {
+        point_in_world: Vector3::z(),
+        position: Vector2::zeros(),
+        sigma: 0.01,
+        blur: Vector2::new(0.03, -0.02),
+    };
+    let noise = Matrix2::identity() * 0.01_f64.powi(2);
+    let covariance = noise + observation.blur * observation.blur.transpose();
+    let whitener = observation.whitener();
+    let whitened = whitener * covariance * whitener.transpose();
+    assert!(
+        (whitened - Matrix2::identity()).norm() < 1e-12,
+        "{whitened}"
+    );
 }
 
 #[test]

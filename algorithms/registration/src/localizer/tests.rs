@@ -348,10 +348,8 @@ fn a_new_placement_moves_the_estimate_and_an_old_one_does_not() {
     assert_eq!(scene.estimate().unwrap().jump_count, 0);
 }
 
-/// Goal: the alignment follows corrections of the own map. Method: every keyframe is turned about
-/// the map's origin, as if the map had been laid anew; the estimate turns back.
-#[test]
-fn moved_keyframes_move_the_alignment() {
+/// A scene in which the vehicle has flown ten keyframes, and these.
+fn flown_scene() -> (Scene, Vec<(KeyframeIdx, Transform<Map, Camera>)>) {
     let mut scene = scene(11, 0.0);
     scene.publish(&AnchorSettings::default());
     let mut keyframes = Vec::new();
@@ -361,6 +359,14 @@ fn moved_keyframes_move_the_alignment() {
         scene.localizer.observe_keyframe(&keyframe);
         keyframes.push((keyframe.id, keyframe.map_from_camera));
     }
+    (scene, keyframes)
+}
+
+/// Goal: the alignment follows corrections of the own map. Method: every keyframe is turned about
+/// the map's origin, as if the map had been laid anew; the estimate turns back.
+#[test]
+fn moved_keyframes_move_the_alignment() {
+    let (mut scene, keyframes) = flown_scene();
     let before = scene.estimate().unwrap().enu_from_map;
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, -0.01, 0.03));
     let laid_anew = Transform::<Map, Map>::new(turn, Vector3::new(0.1, 0.0, -0.1));
@@ -379,15 +385,7 @@ fn moved_keyframes_move_the_alignment() {
 /// of the own map grows by a third; the alignment shrinks by as much.
 #[test]
 fn stretched_keyframes_scale_the_alignment() {
-    let mut scene = scene(11, 0.0);
-    scene.publish(&AnchorSettings::default());
-    let mut keyframes = Vec::new();
-    for step in 0..10 {
-        scene.flyer.fly_to(step);
-        let keyframe = scene.flyer.keyframe(&scene.world);
-        scene.localizer.observe_keyframe(&keyframe);
-        keyframes.push((keyframe.id, keyframe.map_from_camera));
-    }
+    let (mut scene, keyframes) = flown_scene();
     let before = scene.estimate().unwrap().enu_from_map;
     let factor = 4.0 / 3.0;
     for (id, _) in &keyframes {

@@ -68,15 +68,21 @@ fn revisit(map: &mut VslamMap, first_idx: usize) -> usize {
     closed_count
 }
 
-#[test]
-fn a_closed_loop_corrects_the_drift_of_scale() {
+/// A walk around a block and past its start, the keyframes in a round, and a map that drifts.
+fn drifted_walk_around() -> (World, usize, VslamMap) {
     let world = World::new(8.0, 1);
     let around = world.keyframes_around();
     let drift = Drift {
         log_scale: 0.2 / around as f64,
         turn_rad: 0.1 / around as f64,
     };
-    let mut map = world.walk(0..around + 8, drift, (MapId(0), 0));
+    let map = world.walk(0..around + 8, drift, (MapId(0), 0));
+    (world, around, map)
+}
+
+#[test]
+fn a_closed_loop_corrects_the_drift_of_scale() {
+    let (world, around, mut map) = drifted_walk_around();
     let end = around as u64 - 10..around as u64 + 10;
     let before = scale(&world, &map, end.clone()) / scale(&world, &map, 0..20);
     assert!(before > 1.15, "the map drifts without the loop: {before}");
@@ -113,13 +119,7 @@ fn position_error(world: &World, map: &VslamMap) -> f64 {
 
 #[test]
 fn the_whole_map_is_adjusted_in_slices_while_it_may_change() {
-    let world = World::new(8.0, 1);
-    let around = world.keyframes_around();
-    let drift = Drift {
-        log_scale: 0.2 / around as f64,
-        turn_rad: 0.1 / around as f64,
-    };
-    let mut map = world.walk(0..around + 8, drift, (MapId(0), 0));
+    let (world, around, mut map) = drifted_walk_around();
     revisit(&mut map, around + 5);
     // Bent, as by a pose graph that did not know where the drift came from.
     let bend = |one: &Keyframe| {

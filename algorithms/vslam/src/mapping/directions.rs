@@ -259,3 +259,30 @@ fn normal_step(
     let gradient = normal.gradient + d_residual_d_point * residual;
     Some((hessian.cholesky()?.solve(&-gradient), normal.worst))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn range_derivative_matches_differences() {
+        let guess = Guess {
+            centre_in_map: Vector3::new(0.4, -0.1, 0.2),
+            ray_in_map: Vector3::z(),
+            expected: ExpectedRange {
+                inverse_range: 0.5,
+                sigma: 0.1,
+            },
+        };
+        let point = Vector3::new(1.0, 0.7, 3.0);
+        let (_, ours) = guess.residual(&point);
+        let step = 1e-6;
+        for axis in 0..3 {
+            let mut delta = Vector3::zeros();
+            delta[axis] = step;
+            let difference =
+                guess.residual(&(point + delta)).0 - guess.residual(&(point - delta)).0;
+            assert!((difference / (2.0 * step) - ours[axis]).abs() < 1e-6);
+        }
+    }
+}

@@ -43,13 +43,7 @@ pub(crate) fn wants_keyframe(
     let Some(reference) = map.keyframe(tracked.reference) else {
         return true;
     };
-    let ranged_count = frame
-        .observations
-        .iter()
-        .filter_map(|one| map.point(one.point?))
-        .filter(|point| point.has_range())
-        .count();
-    let share = ranged_count as f64 / expected_count(map, reference).max(1) as f64;
+    let share = tracked.ranged_count as f64 / expected_count(map, reference).max(1) as f64;
     if share < SHARE_URGENT || tracked.inlier_count < INLIERS_URGENT {
         return true;
     }
