@@ -348,8 +348,11 @@ fn a_new_placement_moves_the_estimate_and_an_old_one_does_not() {
     assert_eq!(scene.estimate().unwrap().jump_count, 0);
 }
 
+/// Keyframes of the own map, as they were observed.
+type FlownKeyframes = Vec<(KeyframeIdx, Transform<Map, Camera>)>;
+
 /// A scene in which the vehicle has flown ten keyframes, and these.
-fn flown_scene() -> (Scene, Vec<(KeyframeIdx, Transform<Map, Camera>)>) {
+fn flown_scene() -> (Scene, FlownKeyframes) {
     let mut scene = scene(11, 0.0);
     scene.publish(&AnchorSettings::default());
     let mut keyframes = Vec::new();
