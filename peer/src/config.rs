@@ -156,9 +156,9 @@ pub struct EstimationConfig {
     /// best anchor's stated fix sigma.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub global_sigma_m: Option<f64>,
-    /// Threads for decoding and estimation, at least 1. The estimator uses one, whatever this is:
-    /// with more, the next images of a recording are decoded meanwhile, and the results are the
-    /// same. Link, store and drivers have threads of their own.
+    /// Threads for decoding and estimation, at least 1. With more, the next images of a recording
+    /// are decoded meanwhile, and the results are the same. Link, store, drivers and the
+    /// adjustment of the whole map after a loop have threads of their own.
     pub threads: usize,
     /// Seeds the algorithms and the name of the epoch; without it the epoch's name is random.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -1,5 +1,6 @@
 //! The process on every vehicle, and the command line of `starling`.
 
+pub mod background;
 pub mod cli;
 pub mod config;
 pub mod dataset;

@@ -119,6 +119,8 @@ pub struct NodeSettings {
     pub stale_after_s: f64,
     pub global_sigma_m: Option<f64>,
     pub seed: u64,
+    /// Where the map is adjusted as a whole; see [`VslamSettings::background`].
+    pub background: Option<vslam::Background>,
 }
 
 /// Where an anchor's fixes come from.
@@ -207,6 +209,7 @@ impl Node {
     fn new(settings: NodeSettings, calibration: Calibration, role: Role) -> Self {
         let slam_settings = VslamSettings {
             seed: settings.seed,
+            background: settings.background,
             ..VslamSettings::default()
         };
         Self {

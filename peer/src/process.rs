@@ -165,6 +165,7 @@ fn open_node(
         stale_after_s: estimation.stale_after_s,
         global_sigma_m: estimation.global_sigma_m,
         seed: estimation.seed.unwrap_or(1),
+        background: Some(crate::background::spawn),
     };
     let Some(position) = &config.position else {
         return Ok(Node::peer(settings, calibration.clone()));

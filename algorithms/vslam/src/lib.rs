@@ -33,5 +33,5 @@ pub use report::{
     FrameRefusal, FrameReport, ImageFault, LostReason, MappingReport, StartReason, TrackingState,
     TrajectoryEntry,
 };
-pub use settings::VslamSettings;
+pub use settings::{Background, VslamSettings};
 pub use slam::{ExtractedFrame, FrontEnd, Vslam};

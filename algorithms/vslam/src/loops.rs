@@ -8,6 +8,7 @@ mod close;
 mod global;
 mod graph;
 mod join;
+mod pending;
 mod recognise;
 #[cfg(test)]
 mod tests;
@@ -22,8 +23,9 @@ pub(crate) use join::{Joined, find_in};
 use crate::bundle::Workspace;
 use crate::optics::Optics;
 use crate::places::Places;
-use crate::{Keyframe, KeyframeId, VslamMap};
-use global::GlobalAdjustment;
+use crate::settings::Background;
+use crate::{Keyframe, KeyframeId, VslamMap, VslamSettings};
+use pending::Pending;
 use recognise::{Query, Recognition, recognise};
 
 /// The newest keyframes are no loop.
@@ -40,9 +42,6 @@ const DRIFT_LOG_SCALE_MAX: f64 = 1.1;
 /// With less drift than this (rad, ln, shares of the depth) there is nothing to correct.
 const DRIFT_MIN: f64 = 0.004;
 
-/// Steps of a global adjustment between two frames.
-const STEPS_PER_FRAME: usize = 1;
-
 /// Closes loops: what must be remembered from keyframe to keyframe.
 #[derive(Debug, Default)]
 pub(crate) struct Loops {
@@ -50,43 +49,52 @@ pub(crate) struct Loops {
     links: Vec<(KeyframeId, KeyframeId)>,
     last_closed_at: Option<KeyframeId>,
     adjusted_keyframes_max: usize,
-    /// What a loop or a join set off, until it is done.
-    adjustment: Option<GlobalAdjustment>,
+    background: Option<Background>,
+    /// What a loop or a join set off, until it counts.
+    adjustment: Option<Pending>,
     workspace: Workspace,
 }
 
 impl Loops {
-    /// - `adjusted_keyframes_max`: maps with more keyframes are not adjusted as a whole.
-    pub(crate) fn new(adjusted_keyframes_max: usize) -> Self {
+    pub(crate) fn new(settings: &VslamSettings) -> Self {
         Self {
-            adjusted_keyframes_max,
+            adjusted_keyframes_max: settings.global_adjustment_keyframes_max,
+            background: settings.background,
             ..Self::default()
         }
     }
 
-    /// Goes on with the adjustment of the whole map that a loop or a join set off; whether there
-    /// was one.
+    /// Goes on with the adjustment of the whole map that a loop or a join set off; whether that
+    /// takes this frame's time.
     pub(crate) fn adjust_further(&mut self, map: &mut VslamMap) -> bool {
         let Some(mut adjustment) = self.adjustment.take() else {
             return false;
         };
-        if !adjustment.advance(map, STEPS_PER_FRAME) {
+        let lends = adjustment.pass_frame();
+        if adjustment.is_due() {
+            adjustment.finish(map);
+        } else {
             self.adjustment = Some(adjustment);
         }
-        true
+        lends
     }
 
     /// Adjusts the whole map at once.
     pub(crate) fn adjust_all(&mut self, map: &mut VslamMap) {
-        self.begin_adjustment(map);
-        if let Some(mut adjustment) = self.adjustment.take() {
-            while !adjustment.advance(map, usize::MAX) {}
+        self.adjustment = None;
+        if self.affords(map) {
+            Pending::new(map, None).finish(map);
         }
     }
 
     fn begin_adjustment(&mut self, map: &VslamMap) {
-        let affordable = map.keyframe_count() <= self.adjusted_keyframes_max;
-        self.adjustment = affordable.then(|| GlobalAdjustment::new(map));
+        let affordable = self.affords(map);
+        self.adjustment = affordable.then(|| Pending::new(map, self.background));
+    }
+
+    /// Maps with more keyframes are not adjusted as a whole.
+    fn affords(&self, map: &VslamMap) -> bool {
+        map.keyframe_count() <= self.adjusted_keyframes_max
     }
 
     /// Looks whether a new keyframe shows a place that the map has already but does not know to be

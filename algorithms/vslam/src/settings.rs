@@ -1,7 +1,10 @@
 //! What may differ between vehicles.
 
+/// Runs a job that takes seconds where it delays no frame, usually on a thread of its own.
+pub type Background = fn(Box<dyn FnOnce() + Send>);
+
 /// Settings of [`crate::Vslam`]. The defaults suit all cameras; numbers in pixels scale with it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct VslamSettings {
     /// Keypoints per frame; `None` chooses by the area of the image. 400 to 3000; more cost time,
     /// fewer lose track in blur and in rooms with little texture.
@@ -10,9 +13,11 @@ pub struct VslamSettings {
     /// smaller refuses good matches, larger lets wrong ones in.
     pub keypoint_sigma_px: f64,
     /// Keyframes up to which the whole map is adjusted after a loop was closed, maps were joined,
-    /// or in the end; 0 for never, 100 to 2000. One step per frame costs 0.08 ms per keyframe;
-    /// without, a closed loop is bent less exactly.
+    /// or in the end; 0 for never, 100 to 2000. Without, a closed loop is bent less exactly.
     pub global_adjustment_keyframes_max: usize,
+    /// Where such an adjustment runs. `None` lends it single frames, each of which then takes
+    /// 0.1 ms longer per keyframe; the results are the same bit by bit.
+    pub background: Option<Background>,
     /// Seed of all random choices.
     pub seed: u64,
 }
@@ -23,6 +28,7 @@ impl Default for VslamSettings {
             feature_count: None,
             keypoint_sigma_px: 0.9,
             global_adjustment_keyframes_max: 1000,
+            background: None,
             seed: 1,
         }
     }

@@ -125,7 +125,7 @@ impl Vslam {
             mapper: Mapper::default(),
             relocaliser: Relocaliser::default(),
             places: Places::default(),
-            loops: Loops::new(settings.global_adjustment_keyframes_max),
+            loops: Loops::new(&settings),
             map: VslamMap::new(MapId(0), KeyframeId(0), PointId(0)),
             earlier: Vec::new(),
             seen_earlier_count: 0,

@@ -10,7 +10,7 @@ use camera::CameraModel;
 use geometry::Map;
 use nalgebra::{Unit, Vector3};
 use serde::Serialize;
-use vslam::{MapId, TrackingState, Vslam, VslamMap, VslamSettings};
+use vslam::{Background, MapId, TrackingState, Vslam, VslamMap, VslamSettings};
 
 use super::output::{self, Progress};
 use super::{Exit, UsageError};
@@ -164,7 +164,10 @@ fn check_destinations(arguments: &SlamArguments) -> anyhow::Result<()> {
 
 /// A machine without a map, or with the one that is to be continued.
 fn begin(arguments: &SlamArguments, camera: &CameraModel) -> anyhow::Result<Vslam> {
-    let settings = VslamSettings::default();
+    let settings = VslamSettings {
+        background: (arguments.threads > 1).then_some(crate::background::spawn as Background),
+        ..VslamSettings::default()
+    };
     Ok(match &arguments.continued {
         None => Vslam::new(camera.clone(), settings),
         Some(path) => {

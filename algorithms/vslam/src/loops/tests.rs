@@ -117,8 +117,33 @@ fn position_error(world: &World, map: &VslamMap) -> f64 {
     (squared.sum::<f64>() / pairs.len() as f64).sqrt()
 }
 
+fn adjusting(keyframes_max: usize, background: Option<Background>) -> Loops {
+    Loops::new(&VslamSettings {
+        global_adjustment_keyframes_max: keyframes_max,
+        background,
+        ..VslamSettings::default()
+    })
+}
+
+/// Adjusts the map beside the frames, of which the third culls a keyframe; how many frames it
+/// takes.
+fn adjust_meanwhile(map: &mut VslamMap, background: Option<Background>) -> usize {
+    let mut loops = adjusting(1000, background);
+    loops.begin_adjustment(map);
+    let mut frame_count = 0;
+    while loops.adjustment.is_some() {
+        loops.adjust_further(map);
+        frame_count += 1;
+        if frame_count == 3 {
+            let culled = map.keyframes().nth(40).unwrap().id();
+            map.remove_keyframe(culled);
+        }
+    }
+    frame_count
+}
+
 #[test]
-fn the_whole_map_is_adjusted_in_slices_while_it_may_change() {
+fn the_whole_map_is_adjusted_beside_the_frames_while_it_may_change() {
     let (world, around, mut map) = drifted_walk_around();
     revisit(&mut map, around + 5);
     // Bent, as by a pose graph that did not know where the drift came from.
@@ -134,23 +159,15 @@ fn the_whole_map_is_adjusted_in_slices_while_it_may_change() {
     let closed = position_error(&world, &map);
 
     let mut at_once = map.clone();
-    Loops::new(1000).adjust_all(&mut at_once);
+    adjusting(1000, None).adjust_all(&mut at_once);
     let adjusted = position_error(&world, &at_once);
     assert!(adjusted < 0.4 * closed, "{closed} m, then {adjusted} m");
     assert_consistent(&at_once);
     assert!(at_once.revision() > map.revision());
 
-    let mut loops = Loops::new(1000);
-    loops.begin_adjustment(&map);
-    let mut slices = 0;
-    while loops.adjust_further(&mut map) {
-        slices += 1;
-        if slices == 3 {
-            let culled = map.keyframes().nth(40).unwrap().id();
-            map.remove_keyframe(culled);
-        }
-    }
-    assert!(slices > 4, "{slices}");
+    let mut elsewhere = map.clone();
+    let mut lost = map.clone();
+    let frame_count = adjust_meanwhile(&mut map, None);
     let sliced = position_error(&world, &map);
     assert!(
         sliced < 1.2 * adjusted,
@@ -158,7 +175,15 @@ fn the_whole_map_is_adjusted_in_slices_while_it_may_change() {
     );
     assert_consistent(&map);
 
-    let mut small_only = Loops::new(50);
+    let at_the_same_frame = adjust_meanwhile(&mut elsewhere, Some(|job| job()));
+    assert_eq!(at_the_same_frame, frame_count);
+    assert_eq!(position_error(&world, &elsewhere), sliced, "bit by bit");
+
+    adjust_meanwhile(&mut lost, Some(drop));
+    assert_consistent(&lost);
+    assert!(position_error(&world, &lost) > 0.9 * closed);
+
+    let mut small_only = adjusting(50, None);
     small_only.begin_adjustment(&map);
     assert!(!small_only.adjust_further(&mut map));
 }

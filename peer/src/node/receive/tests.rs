@@ -16,6 +16,7 @@ fn anchor() -> Node {
         stale_after_s: 10.0,
         global_sigma_m: None,
         seed: 1,
+        background: None,
     };
     let source = PositionSource {
         datum: Some(Datum::site("lab").unwrap()),
