@@ -32,6 +32,8 @@ pub struct ExtractorSettings {
     pub corner_threshold_min: u8,
 }
 
+const LEVEL_COUNT_MAX: usize = 16;
+
 impl Default for ExtractorSettings {
     fn default() -> Self {
         Self {
@@ -52,7 +54,7 @@ impl ExtractorSettings {
 
     fn in_range(self) -> Self {
         Self {
-            level_count: self.level_count.clamp(1, 16),
+            level_count: self.level_count.clamp(1, LEVEL_COUNT_MAX),
             scale_factor: self.scale_factor.clamp(1.05, 2.0),
             finest_scale: self.finest_scale.clamp(0.5, 1.0),
             corner_threshold: self.corner_threshold.max(self.corner_threshold_min),
@@ -127,21 +129,45 @@ impl Extractor {
         for level in 0..self.pyramid.levels().len() {
             self.find_corners(level);
         }
-        let mut wanted = self.settings.feature_count;
+        let quotas = self.quotas();
         for level in (0..self.pyramid.levels().len()).rev() {
-            let share = self.share(level);
-            let quota = (wanted as f64 * share).round() as usize;
-            let before = features.len();
-            self.describe_level(level, quota, features);
-            wanted -= features.len() - before;
+            self.describe_level(level, quotas[level], features);
         }
     }
 
-    /// Part of the features of levels 0 to `level` that this level should give.
-    fn share(&self, level: usize) -> f64 {
+    /// How many features each level gives: in proportion to 1 / scale, and what a level has too
+    /// few corners for is shared by all others. Blur leaves corners on coarse levels only.
+    fn quotas(&self) -> [usize; LEVEL_COUNT_MAX] {
         let shrink = 1.0 / self.settings.scale_factor;
-        let total: f64 = (0..=level).map(|level| shrink.powi(level as i32)).sum();
-        shrink.powi(level as i32) / total
+        let weight = |level: usize| shrink.powi(level as i32);
+        let mut quotas = [0; LEVEL_COUNT_MAX];
+        let mut wanted = self.settings.feature_count;
+        let mut open = [true; LEVEL_COUNT_MAX];
+        open[self.pyramid.levels().len()..].fill(false);
+        let total = |open: &[bool]| {
+            let weights = open.iter().enumerate().filter(|(_, open)| **open);
+            weights.map(|(level, _)| weight(level)).sum::<f64>()
+        };
+        loop {
+            let per_weight = wanted as f64 / total(&open);
+            let before = open;
+            for level in (0..LEVEL_COUNT_MAX).filter(|&level| before[level]) {
+                let corner_count = self.corners[level].len();
+                if corner_count as f64 <= weight(level) * per_weight {
+                    (quotas[level], open[level]) = (corner_count, false);
+                    wanted -= corner_count;
+                }
+            }
+            if open == before {
+                break;
+            }
+        }
+        for level in (0..LEVEL_COUNT_MAX).rev().filter(|&level| open[level]) {
+            let share = weight(level) / total(&open[..=level]);
+            quotas[level] = (wanted as f64 * share).round() as usize;
+            wanted -= quotas[level];
+        }
+        quotas
     }
 
     fn shape(&self) -> PyramidShape {

@@ -273,6 +273,23 @@ fn features_are_spread_over_the_image() {
     );
 }
 
+#[test]
+fn blurred_images_give_as_many_features_as_are_wanted() {
+    // Waves of 42 px and more: on the finest levels a corner's ring sees hardly any contrast.
+    let image = view(640, 480, |x, y| smooth_texture(x / 6.0, y / 6.0));
+    let feature_count = 100;
+    let mut extractor = Extractor::new(ExtractorSettings {
+        feature_count,
+        ..ExtractorSettings::default()
+    });
+    let mut features = Features::default();
+    extractor.extract(&image, &mut features);
+    let finest = |one: &&Keypoint| one.level < 4;
+    let on_finest = features.keypoints.iter().filter(finest).count();
+    assert_eq!(on_finest, 0);
+    assert_eq!(features.len(), feature_count);
+}
+
 proptest! {
     #[test]
     fn the_grid_finds_what_a_loop_finds(
