@@ -3,10 +3,18 @@
 use camera::{CameraModel, Distortion};
 use nalgebra::{Vector2, Vector3};
 
-/// Pyramid levels of the extractor.
-pub(crate) const LEVEL_COUNT: usize = 8;
+/// Pyramid levels of an image that is not enlarged. Others have more, as coarse at the end: blur
+/// leaves corners only there.
+const LEVEL_COUNT: usize = 8;
 /// Size ratio of neighbouring levels.
 pub(crate) const LEVEL_FACTOR: f64 = 1.2;
+/// Images with fewer pixels are enlarged to so many, about 432×324, before corners are sought:
+/// descriptors reach 15 pixels beyond their corners, and at 160×120 what lies nearer to the border
+/// is 40 % of the image, more on each coarser level. It also finds what is finer than the corner
+/// test's ring, and places it more finely. Larger images have enough of both.
+const AREA_PX: f64 = 140_000.0;
+/// Image pixels per enlarged pixel, at least. Beyond twofold an image has nothing more to show.
+const FINEST_SCALE_MIN: f64 = 0.5;
 /// The width for which windows in pixels are stated; they grow with the image.
 const REFERENCE_WIDTH_PX: f64 = 640.0;
 /// Rays further from the axis than this many focal lengths are not used (74°).
@@ -16,7 +24,11 @@ const PLANE_RADIUS_MAX: f64 = 3.5;
 #[derive(Clone, Debug)]
 pub(crate) struct Optics {
     pub(crate) camera: CameraModel,
-    pub(crate) focal_px: f64,
+    /// Image pixels per pixel of the finest pyramid level: below 1, small images are enlarged.
+    pub(crate) finest_scale: f64,
+    pub(crate) level_count: usize,
+    /// In pixels of the finest level, as are all windows and noises.
+    focal_px: f64,
     /// One pixel of the reference width, on the ideal plane of this camera.
     pub(crate) window: f64,
     pub(crate) plane_min: Vector2<f64>,
@@ -26,10 +38,14 @@ pub(crate) struct Optics {
 
 impl Optics {
     pub(crate) fn new(camera: CameraModel, keypoint_sigma_px: f64) -> Self {
-        let focal_px = camera.focal_length_px();
+        let finest_scale = finest_scale(&camera);
+        let focal_px = camera.focal_length_px() / finest_scale;
         let (plane_min, plane_max) = plane_bounds(&camera);
-        let size_factor = camera.width().max(camera.height()) as f64 / REFERENCE_WIDTH_PX;
+        let width_px = camera.width().max(camera.height()) as f64 / finest_scale;
+        let size_factor = width_px / REFERENCE_WIDTH_PX;
         Self {
+            finest_scale,
+            level_count: LEVEL_COUNT + added_level_count(finest_scale),
             focal_px,
             window: size_factor.max(1.0) / focal_px,
             plane_min,
@@ -79,7 +95,16 @@ impl Optics {
     }
 }
 
-/// Full-resolution pixels per pixel of this level.
+fn finest_scale(camera: &CameraModel) -> f64 {
+    let area_px = (camera.width() * camera.height()) as f64;
+    (area_px / AREA_PX).sqrt().clamp(FINEST_SCALE_MIN, 1.0)
+}
+
+fn added_level_count(finest_scale: f64) -> usize {
+    (-finest_scale.ln() / LEVEL_FACTOR.ln()).round() as usize
+}
+
+/// Pixels of the finest level per pixel of this one.
 pub(crate) fn level_scale(level: u8) -> f64 {
     LEVEL_FACTOR.powi(i32::from(level))
 }
@@ -113,6 +138,44 @@ mod tests {
     use camera::{Distortion, Intrinsics};
 
     use super::*;
+
+    /// From 160×120 to 1920×1080: small images are enlarged so that the pyramid begins with about
+    /// as many pixels, and whatever is added at its fine end, it ends where others do.
+    #[test]
+    fn small_images_begin_finer_and_end_as_coarse() {
+        let optics = |width: usize, height: usize| {
+            let focal_px = 0.8 * width as f64;
+            let intrinsics = Intrinsics {
+                fx: focal_px,
+                fy: focal_px,
+                cx: 0.5 * width as f64,
+                cy: 0.5 * height as f64,
+            };
+            let camera = CameraModel::new(width, height, intrinsics, Distortion::None).unwrap();
+            (Optics::new(camera, 0.9), focal_px)
+        };
+        for (width, height, finest_scale) in [
+            (160, 120, 0.5),
+            (240, 180, 0.555),
+            (324, 244, 0.751),
+            (640, 480, 1.0),
+            (1920, 1080, 1.0),
+        ] {
+            let (optics, focal_px) = optics(width, height);
+            let error = optics.finest_scale - finest_scale;
+            assert!(error.abs() < 1e-3, "{width}x{height}: {error}");
+            let coarsest = optics.finest_scale * level_scale(optics.level_count as u8 - 1);
+            let levels_off = (coarsest / level_scale(7)).ln() / LEVEL_FACTOR.ln();
+            assert!(levels_off.abs() <= 0.5, "{width}x{height}: {levels_off}");
+            // What one pixel of the finest level subtends is what its noise scales with.
+            let (_, sigma) = optics.undistort(&Vector2::zeros(), 0).unwrap();
+            let sigma_px = sigma * focal_px / optics.finest_scale;
+            assert!(
+                (sigma_px - 0.9).abs() < 1e-9,
+                "{width}x{height}: {sigma_px}"
+            );
+        }
+    }
 
     /// Whatever the lens, a keypoint's place on the ideal plane is as uncertain as the step there
     /// that moves its image by the keypoint's noise, and it is projected back to where it was.

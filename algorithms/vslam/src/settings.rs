@@ -9,8 +9,8 @@ pub struct VslamSettings {
     /// Keypoints per frame; `None` chooses by the area of the image. 400 to 3000; more cost time,
     /// fewer lose track in blur and in rooms with little texture.
     pub feature_count: Option<usize>,
-    /// One standard deviation of a keypoint on the full-resolution level, pixels. 0.5 to 1.5;
-    /// smaller refuses good matches, larger lets wrong ones in.
+    /// One standard deviation of a keypoint on the finest level, in pixels of it, to which small
+    /// images are enlarged. 0.5 to 1.5; smaller refuses good matches, larger lets wrong ones in.
     pub keypoint_sigma_px: f64,
     /// Keyframes up to which the whole map is adjusted after a loop was closed, maps were joined,
     /// or in the end; 0 for never, 100 to 2000. Without, a closed loop is bent less exactly.

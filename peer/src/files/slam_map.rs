@@ -39,7 +39,7 @@ use bytes::Reader;
 
 const MAGIC: &[u8; 8] = b"STARLMAP";
 /// Grows with every change of the layout, of the image pyramid, or of what descriptors mean.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEADER_BYTES: usize = 24;
 /// A map of an hour at thirty keyframes a minute is a tenth of this.
 const FILE_BYTES_MAX: u64 = 1 << 30;

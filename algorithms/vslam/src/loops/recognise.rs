@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::align::{Pair, Side, Sighting, ransac, refine};
 use crate::frame::Viewpoint;
-use crate::optics::{LEVEL_COUNT, Optics, level_scale};
+use crate::optics::{Optics, level_scale};
 use crate::places::{LookAlike, rank};
 use crate::search::{Gate, Wanted, find};
 use crate::{Keyframe, KeyframeId, PointId, VslamMap};
@@ -229,16 +229,17 @@ fn see(
         let distance = ray.norm();
         let position = optics.project(&viewpoint.transform(&point.position_in_map));
         let viewing_cosine = ray.dot(&point.viewing_direction) / distance;
-        let expected = point.in_distance_range(distance) && viewing_cosine > VIEWING_COSINE_MIN;
+        let expected =
+            point.in_distance_range(optics, distance) && viewing_cosine > VIEWING_COSINE_MIN;
         let Some(position) = position.filter(|_| expected) else {
             continue;
         };
         seen.visible_count += 1;
-        let level = point.predicted_level(distance);
+        let level = point.predicted_level(optics, distance);
         let wanted = Wanted {
             position,
             radius: WINDOW_PX * optics.window * level_scale(level),
-            levels: level.saturating_sub(1)..=(level + 1).min(LEVEL_COUNT as u8 - 1),
+            levels: level.saturating_sub(1)..=level + 1,
             descriptor: &point.descriptor,
         };
         let found = find(

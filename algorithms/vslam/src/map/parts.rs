@@ -12,7 +12,7 @@ use super::VslamMap;
 use crate::frame::Frame;
 use crate::map::NewPoint;
 use crate::mapping::update_neighbours;
-use crate::optics::{LEVEL_COUNT, Optics};
+use crate::optics::Optics;
 use crate::plane_grid::PlaneGrid;
 use crate::{KeyframeId, MapId, Observation, PointId, View, VslamSettings};
 
@@ -280,7 +280,7 @@ fn observation(optics: &Optics, parts: &KeypointParts) -> Option<Observation> {
     let (width, height) = (optics.camera.width() as f64, optics.camera.height() as f64);
     // A comparison with NaN is false.
     let inside = pixel.x > -1.0 && pixel.x < width && pixel.y > -1.0 && pixel.y < height;
-    if !inside || usize::from(parts.level) >= LEVEL_COUNT || !parts.angle_rad.is_finite() {
+    if !inside || usize::from(parts.level) >= optics.level_count || !parts.angle_rad.is_finite() {
         return None;
     }
     let (position, sigma) = optics.undistort(pixel, parts.level)?;

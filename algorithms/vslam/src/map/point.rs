@@ -4,7 +4,7 @@ use features::Descriptor;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::frame::Viewpoint;
-use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR};
+use crate::optics::{LEVEL_FACTOR, Optics, level_scale};
 use crate::triangulation::d_position_d_point;
 use crate::{KeyframeId, PointId};
 
@@ -102,15 +102,15 @@ impl MapPoint {
     }
 
     /// The pyramid level on which it should be found from this distance.
-    pub(crate) fn predicted_level(&self, distance: f64) -> u8 {
+    pub(crate) fn predicted_level(&self, optics: &Optics, distance: f64) -> u8 {
         let level = (self.finest_distance / distance).ln() / LEVEL_FACTOR.ln();
         // A cast from float saturates: negative and NaN become 0.
-        (level.round() as u8).min(LEVEL_COUNT as u8 - 1)
+        (level.round() as u8).min(optics.level_count as u8 - 1)
     }
 
     /// Whether the pyramid can show it at this distance as its views did.
-    pub(crate) fn in_distance_range(&self, distance: f64) -> bool {
-        let coarsest = LEVEL_FACTOR.powi(LEVEL_COUNT as i32 - 1);
+    pub(crate) fn in_distance_range(&self, optics: &Optics, distance: f64) -> bool {
+        let coarsest = level_scale(optics.level_count as u8 - 1);
         distance < 1.2 * self.finest_distance && distance > 0.8 * self.finest_distance / coarsest
     }
 

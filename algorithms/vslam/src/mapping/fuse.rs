@@ -1,7 +1,7 @@
 //! Makes one point of two, where neighbours see the same thing under two names.
 
 use crate::frame::Viewpoint;
-use crate::optics::{LEVEL_COUNT, Optics, level_scale};
+use crate::optics::{Optics, level_scale};
 use crate::{KeyframeId, PointId, View, VslamMap};
 
 /// Descriptors of one point differ by at most this many bits.
@@ -99,12 +99,12 @@ fn land(optics: &Optics, map: &VslamMap, id: PointId, target: KeyframeId) -> Opt
     let ray = point.position_in_map - viewpoint.centre_in_map;
     let distance = ray.norm();
     let viewing_cosine = ray.dot(&point.viewing_direction) / distance;
-    if !point.in_distance_range(distance) || viewing_cosine < VIEWING_COSINE_MIN {
+    if !point.in_distance_range(optics, distance) || viewing_cosine < VIEWING_COSINE_MIN {
         return None;
     }
-    let level = point.predicted_level(distance);
+    let level = point.predicted_level(optics, distance);
     let radius = WINDOW_PX * optics.window * level_scale(level);
-    let levels = level.saturating_sub(1)..=(level + 1).min(LEVEL_COUNT as u8 - 1);
+    let levels = level.saturating_sub(1)..=level + 1;
     let (mut best, mut best_idx) = (DISTANCE_MAX + 1, None);
     keyframe
         .grid

@@ -6,7 +6,7 @@ use geometry::Timestamp;
 
 use crate::frame::Frame;
 use crate::look::Look;
-use crate::optics::{LEVEL_COUNT, LEVEL_FACTOR, Optics};
+use crate::optics::{LEVEL_FACTOR, Optics};
 use crate::{FrameRefusal, VslamSettings};
 
 /// Finds the keypoints of images.
@@ -30,14 +30,17 @@ pub struct ExtractedFrame {
 
 impl FrontEnd {
     pub fn new(camera: CameraModel, settings: &VslamSettings) -> Self {
+        let feature_count = settings.feature_count_for(&camera);
+        let optics = Optics::new(camera, settings.keypoint_sigma_px);
         let extractor = Extractor::new(ExtractorSettings {
-            feature_count: settings.feature_count_for(&camera),
-            level_count: LEVEL_COUNT,
+            feature_count,
+            level_count: optics.level_count,
             scale_factor: LEVEL_FACTOR,
+            finest_scale: optics.finest_scale,
             ..ExtractorSettings::default()
         });
         Self {
-            optics: Optics::new(camera, settings.keypoint_sigma_px),
+            optics,
             extractor,
             features: Features::default(),
         }

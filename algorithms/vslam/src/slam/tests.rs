@@ -117,6 +117,23 @@ fn the_trajectory_is_that_of_the_camera_up_to_scale() {
 }
 
 #[test]
+fn a_quarter_of_the_pixels_do() {
+    // 160×120 pixels. One of them is 31 mm at 4 m, and a pose rests on a hundred keypoints or more
+    // that are off by half of that; drift over 2 m of path adds to it.
+    let world = World::new(7);
+    let mut slam = Vslam::new(world::coarse_camera(), VslamSettings::default());
+    let frame_count = 70;
+    for frame in 0..frame_count {
+        let image = world::coarsened(&world.render(&pose(frame)));
+        slam.process(&image, stamp(frame));
+    }
+    slam.finish();
+    let (frames, worst) = found(&slam, |frame| pose(frame).position);
+    assert!(frames.len() >= frame_count - 2, "{}", frames.len());
+    assert!(worst < 0.03, "{worst} m");
+}
+
+#[test]
 fn a_camera_that_comes_back_after_long_returns_to_its_map() {
     let world = World::new(7);
     let blank = Image::filled(world::WIDTH, world::HEIGHT, 90);

@@ -3,7 +3,7 @@
 use geometry::{Camera, Map, Transform};
 
 use crate::frame::{Frame, Viewpoint};
-use crate::optics::{LEVEL_COUNT, Optics, level_scale};
+use crate::optics::{Optics, level_scale};
 use crate::search::{Gate, Wanted, find};
 use crate::{KeyframeId, MapPoint, Observation, PointId, VslamMap};
 
@@ -109,16 +109,16 @@ fn expect<'a>(optics: &Optics, viewpoint: &Viewpoint, point: &'a MapPoint) -> Op
     let ray = point.position_in_map - viewpoint.centre_in_map;
     let distance = ray.norm();
     let viewing_cosine = ray.dot(&point.viewing_direction) / distance;
-    if !point.in_distance_range(distance) || viewing_cosine < VIEWING_COSINE_MIN {
+    if !point.in_distance_range(optics, distance) || viewing_cosine < VIEWING_COSINE_MIN {
         return None;
     }
     let window_px = if viewing_cosine > 0.998 { 4.0 } else { 6.0 };
-    let level = point.predicted_level(distance);
+    let level = point.predicted_level(optics, distance);
     let blur = point.blur(viewpoint, &point_in_camera).norm();
     Some(Wanted {
         position,
         radius: window_px * optics.window * level_scale(level) + BLURS * blur,
-        levels: level.saturating_sub(1)..=(level + 1).min(LEVEL_COUNT as u8 - 1),
+        levels: level.saturating_sub(1)..=level + 1,
         descriptor: &point.descriptor,
     })
 }

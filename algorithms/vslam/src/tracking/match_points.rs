@@ -5,7 +5,7 @@ use geometry::{Camera, Map, Transform};
 use super::TrackedPoint;
 use crate::VslamMap;
 use crate::frame::{Frame, Viewpoint};
-use crate::optics::{LEVEL_COUNT, Optics, level_scale};
+use crate::optics::{Optics, level_scale};
 use crate::search::{Gate, Wanted, consistent_turns, find};
 
 const GATE: Gate = Gate {
@@ -37,7 +37,7 @@ pub(crate) fn match_last_frame(
         let wanted = Wanted {
             position,
             radius: window_px * optics.window * level_scale(tracked.level) + 2.0 * blur,
-            levels: tracked.level.saturating_sub(1)..=(tracked.level + 1).min(LEVEL_COUNT as u8),
+            levels: tracked.level.saturating_sub(1)..=tracked.level + 1,
             descriptor: &point.descriptor,
         };
         let free = |observation: &crate::Observation| observation.point.is_none();

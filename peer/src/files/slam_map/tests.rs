@@ -94,7 +94,7 @@ fn what_is_no_map_of_this_camera_and_version_is_refused_with_the_reason() {
         (&b""[..], "this is no map of starling slam"),
         (b"ply\nformat ascii 1.0", "this is no map of starling slam"),
         (&whole[..10], "it ends too soon"),
-        (&newer, "of version 9, expected 1"),
+        (&newer, "of version 9, expected 2"),
         (&whole[..whole.len() - 1], "it was cut or added to"),
         (&longer, "it was cut or added to"),
         (&flipped, "the map is damaged: checksum"),

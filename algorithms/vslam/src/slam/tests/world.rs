@@ -18,6 +18,30 @@ pub fn camera() -> CameraModel {
         .expect("the constants are a camera")
 }
 
+/// The same field of view, with a quarter of the pixels.
+pub fn coarse_camera() -> CameraModel {
+    let intrinsics = Intrinsics {
+        fx: FOCAL_PX / 2.0,
+        fy: FOCAL_PX / 2.0,
+        cx: 79.5,
+        cy: 59.5,
+    };
+    CameraModel::new(WIDTH / 2, HEIGHT / 2, intrinsics, Distortion::None)
+        .expect("the constants are a camera")
+}
+
+/// What the coarse camera sees where the other saw this: each of its pixels gathers four.
+pub fn coarsened(image: &Image) -> Image {
+    let mut coarse = Image::filled(WIDTH / 2, HEIGHT / 2, 0);
+    for (idx, pixel) in coarse.pixels_mut().iter_mut().enumerate() {
+        let (x, y) = (idx % (WIDTH / 2) * 2, idx / (WIDTH / 2) * 2);
+        let four = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
+        let sum: u16 = four.iter().map(|&(x, y)| u16::from(image.get(x, y))).sum();
+        *pixel = ((sum + 2) / 4) as u8;
+    }
+    coarse
+}
+
 /// Where a camera stands; x right, y down, z forward at zero angles.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
