@@ -1,5 +1,6 @@
 //! Bundle adjustment of a part of the map.
 
+use geometry::Transform;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::bundle::{
@@ -115,6 +116,7 @@ fn run(
     let (mut problem, views) = problem(map, selection);
     let before = problem.clone();
     let report = adjust(&mut problem, settings, workspace);
+    let scale = keep_scale(&before, &mut problem);
     let stretches = stretches(&before, &problem);
     for ((id, pose), stretch) in selection
         .keyframes
@@ -138,9 +140,46 @@ fn run(
         }
     }
     for (id, covariance) in selection.points.iter().zip(&report.point_covariances) {
+        let covariance = covariance.map(|covariance| covariance * (scale * scale));
         renew_point(map, *id, covariance.as_ref());
     }
     report
+}
+
+/// Where a single keyframe is fixed the scale is free, and the adjustment leaves it anywhere.
+/// Takes the one at which the cameras stay where they were as far as they can: who has their
+/// earlier poses need not know that the map has changed. Returns by how much that stretched it.
+fn keep_scale(before: &BundleProblem, after: &mut BundleProblem) -> f64 {
+    let holds = |idx: &usize| {
+        let sees = |one: &BundleObservation| one.pose_idx == *idx;
+        before.poses[*idx].fixed && before.observations.iter().any(sees)
+    };
+    let mut holding = (0..before.poses.len()).filter(holds);
+    let (Some(origin), None) = (holding.next(), holding.next()) else {
+        return 1.0;
+    };
+    let centre = |pose: &BundlePose| *pose.camera_from_map.inverse().translation();
+    let origin = centre(&before.poses[origin]);
+    let (mut along, mut length_squared) = (0.0, 0.0);
+    let pairs = before.poses.iter().zip(&after.poses);
+    for (before, after) in pairs.filter(|(before, _)| !before.fixed) {
+        let (before, after) = (centre(before) - origin, centre(after) - origin);
+        along += before.dot(&after);
+        length_squared += after.norm_squared();
+    }
+    let scale = along / length_squared;
+    if !scale.is_finite() || scale <= 0.0 {
+        return 1.0;
+    }
+    for pose in after.poses.iter_mut().filter(|pose| !pose.fixed) {
+        let centre = origin + (centre(pose) - origin) * scale;
+        let rotation = *pose.camera_from_map.rotation();
+        pose.camera_from_map = Transform::new(rotation, -(rotation * centre));
+    }
+    for point in &mut after.points {
+        *point = origin + (*point - origin) * scale;
+    }
+    scale
 }
 
 /// Brings what is known of a point up to date after it was adjusted.
@@ -239,5 +278,71 @@ fn update_parallax(map: &mut VslamMap, id: PointId) {
     let parallax = parallax_rad(&sightings, &position).max(point.parallax_rad);
     if let Some(point) = map.point_mut(id) {
         point.parallax_rad = parallax;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+
+    use super::*;
+
+    /// Three cameras in a row that see two points; the first is fixed.
+    fn row() -> BundleProblem {
+        let pose = |x: f64| BundlePose {
+            camera_from_map: Transform::new(Default::default(), Vector3::new(-x, 0.0, 0.0)),
+            fixed: x == 0.5,
+        };
+        let observation = |idx: usize| BundleObservation {
+            pose_idx: idx % 3,
+            point_idx: idx / 3,
+            position: Vector2::zeros(),
+            sigma: 0.01,
+        };
+        BundleProblem {
+            poses: [0.5, 1.0, 1.5].map(pose).to_vec(),
+            points: vec![Vector3::new(0.5, 0.0, 4.0), Vector3::new(1.0, 1.0, 5.0)],
+            observations: (0..6).map(observation).collect(),
+        }
+    }
+
+    /// The same, everything but the first camera moved away from it.
+    fn stretched(factor: f64) -> BundleProblem {
+        let mut problem = row();
+        let origin = Vector3::new(0.5, 0.0, 0.0);
+        for pose in &mut problem.poses {
+            let centre = -pose.camera_from_map.translation();
+            let centre = origin + (centre - origin) * factor;
+            pose.camera_from_map = Transform::new(Default::default(), -centre);
+        }
+        for point in &mut problem.points {
+            *point = origin + (*point - origin) * factor;
+        }
+        problem
+    }
+
+    #[test]
+    fn a_free_scale_stays_as_it_was() {
+        let mut after = stretched(0.6);
+        let scale = keep_scale(&row(), &mut after);
+        assert!((scale - 1.0 / 0.6).abs() < 1e-12);
+        for (ours, before) in after.poses.iter().zip(row().poses) {
+            let ours = ours.camera_from_map.translation();
+            assert!((ours - before.camera_from_map.translation()).norm() < 1e-12);
+        }
+        for (ours, before) in after.points.iter().zip(row().points) {
+            assert!((ours - before).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_scale_that_two_keyframes_hold_is_what_they_say() {
+        let (mut before, mut after) = (row(), stretched(0.6));
+        before.poses[1].fixed = true;
+        let adjusted = after.clone();
+        assert!(keep_scale(&before, &mut after) == 1.0 && after == adjusted);
+        // One that sees nothing holds nothing.
+        before.observations.retain(|one| one.pose_idx != 1);
+        assert!(keep_scale(&before, &mut after) > 1.5);
     }
 }
