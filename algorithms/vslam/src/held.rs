@@ -12,9 +12,6 @@ const HELD_CELLS_MIN: f64 = 0.7;
 
 /// So many points of known range tell where a camera is.
 pub(crate) const PLACED_MIN: usize = 20;
-/// What is expected of many points is wrong for all of them alike: not even hundreds may tell how
-/// far a camera moved, so each counts as if it were this much less certain.
-pub(crate) const SHARED_DOUBT: f64 = 8.0;
 
 /// Whether points of known range tell where a keyframe is. If not, nothing that it sees has a
 /// known range because of it.

@@ -7,8 +7,8 @@ use geometry::{Camera, Map, Transform};
 use nalgebra::{Matrix6, Vector3};
 
 use crate::frame::{Frame, Viewpoint};
-use crate::held::{PLACED_MIN, SHARED_DOUBT};
-use crate::{KeyframeId, VslamMap};
+use crate::held::PLACED_MIN;
+use crate::{KeyframeId, PointId, VslamMap};
 
 /// A pose and how well it is known.
 #[derive(Clone, Debug)]
@@ -54,7 +54,8 @@ pub(crate) fn refine(
     whereabouts: Option<&Whereabouts>,
 ) -> Option<PoseFit> {
     let viewpoint = Viewpoint::new(*start);
-    let mut ranged_count = 0;
+    let shown = frame.observations.iter().filter_map(|one| one.point);
+    let (ranged_count, doubt) = weigh(map, shown);
     let mut indices = Vec::with_capacity(frame.observations.len());
     let mut matches = Vec::with_capacity(frame.observations.len());
     for (idx, observation) in frame.observations.iter().enumerate() {
@@ -62,8 +63,7 @@ pub(crate) fn refine(
             continue;
         };
         let point_in_camera = viewpoint.transform(&point.position_in_map);
-        let blur = point.blur(&viewpoint, &point_in_camera) * SHARED_DOUBT;
-        ranged_count += usize::from(point.has_range());
+        let blur = point.blur(&viewpoint, &point_in_camera) * doubt;
         indices.push(idx);
         matches.push(PointObservation {
             point_in_world: point.position_in_map,
@@ -90,4 +90,16 @@ pub(crate) fn refine(
         covariance: fit.world_from_camera_covariance,
         inlier_count: fit.inlier_count,
     })
+}
+
+/// How many of these points have a known range, and by how much less certain each of the others
+/// counts than it is: what is expected of many points is wrong for all of them alike, so that
+/// together they may tell no more of how far a camera moved than one alone.
+fn weigh(map: &VslamMap, points: impl Iterator<Item = PointId>) -> (usize, f64) {
+    let (mut ranged_count, mut expected_count) = (0, 0_u32);
+    for point in points.filter_map(|point| map.point(point)) {
+        ranged_count += usize::from(point.has_range());
+        expected_count += u32::from(!point.has_range());
+    }
+    (ranged_count, f64::from(expected_count).sqrt())
 }
