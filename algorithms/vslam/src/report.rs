@@ -88,7 +88,8 @@ pub enum LostReason {
     FewKeypoints,
     /// Too few keypoints agree with the map.
     FewInliers,
-    /// For too long nothing was in view of which the map knows the distance, as in a long turn.
+    /// Too little is in view of which the map knows the distance, as in a turn: how the camera
+    /// turns is still followed, for about a second.
     OnlyDirections,
     /// The place is not recognised.
     UnknownPlace,
@@ -167,7 +168,7 @@ impl fmt::Display for LostReason {
         f.write_str(match self {
             Self::FewKeypoints => "too few corners in the image",
             Self::FewInliers => "too little of the image agrees with the map",
-            Self::OnlyDirections => "for too long nothing in sight had a known distance",
+            Self::OnlyDirections => "too little in sight has a known distance",
             Self::UnknownPlace => "this place is not in the map",
             Self::Image(fault) => return fault.fmt(f),
             Self::AgainstGyroscope => "the gyroscope says that the camera looks elsewhere",

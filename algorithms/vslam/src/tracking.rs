@@ -59,6 +59,14 @@ pub(crate) struct Tracked {
     pub(crate) reference: KeyframeId,
 }
 
+impl Tracked {
+    /// Whether it was measured where the camera is. If not, only how it is turned is known, and
+    /// its place was carried on from the frames before.
+    pub(crate) fn is_placed(&self) -> bool {
+        self.ranged_count >= PLACED_MIN
+    }
+}
+
 /// The points that these observations show.
 pub(crate) fn tracked_points(observations: &[crate::Observation]) -> Vec<TrackedPoint> {
     observations
@@ -89,7 +97,7 @@ pub(crate) fn track(
         .or_else(|| locate_near(map, motion.last.place.keyframe, frame, rng))
         .ok_or(LostReason::FewInliers)?;
     let tracked = track_local_map(optics, map, frame, &first, whereabouts.as_ref())?;
-    if tracked.ranged_count < PLACED_MIN && motion.is_adrift(frame.captured_at) {
+    if !tracked.is_placed() && motion.is_adrift(frame.captured_at) {
         return Err(LostReason::OnlyDirections);
     }
     Ok(tracked)

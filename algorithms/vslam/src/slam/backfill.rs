@@ -6,7 +6,6 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::VslamMap;
 use crate::frame::Frame;
-use crate::held::PLACED_MIN;
 use crate::optics::Optics;
 use crate::tracking::{Motion, TrackedFrame, track, tracked_points};
 use crate::trajectory::FrameRecord;
@@ -84,7 +83,7 @@ fn find(
         });
     }
     let tracked = track(optics, map, &Motion::starting_at(later.clone()), frame, rng).ok()?;
-    if tracked.ranged_count < PLACED_MIN {
+    if !tracked.is_placed() {
         return None;
     }
     Some(TrackedFrame {

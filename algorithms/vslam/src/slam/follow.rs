@@ -92,11 +92,18 @@ impl Vslam {
     pub(super) fn accept(&mut self, frame: Frame, tracked: Tracked) -> Outcome {
         let rank = self.map.rank();
         let largest = self.earlier.iter().map(VslamMap::rank).max();
-        if largest.is_some_and(|largest| largest > rank) {
-            // The map may never be joined to the largest; the frame may still be found there.
+        let placed = tracked.is_placed();
+        if !placed || largest.is_some_and(|largest| largest > rank) {
+            // The map may never be joined to the largest; the frame may still be found there. And
+            // what was not measured now may be when the map has grown.
             self.waiting.remember(&frame);
         }
         self.unmapped = Some(Unmapped::Tracked(Box::new((frame, tracked.clone()))));
+        if !placed {
+            return Outcome::without_pose(TrackingState::Lost {
+                reason: LostReason::OnlyDirections,
+            });
+        }
         Outcome {
             state: TrackingState::Tracking,
             tracked: Some(tracked),

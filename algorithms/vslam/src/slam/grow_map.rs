@@ -78,7 +78,8 @@ impl Vslam {
             .map
             .place(tracked.reference, &tracked.camera_from_map)
             .expect("the reference is in the map");
-        if let Some(record) = self.trajectory.get_mut(frame_idx) {
+        let record = self.trajectory.get_mut(frame_idx);
+        if let Some(record) = record.filter(|_| tracked.is_placed()) {
             record.place = Some(place);
         }
         if let Some(turn) = motion.turn_to(&self.map, &place) {
