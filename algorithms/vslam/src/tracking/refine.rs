@@ -103,3 +103,95 @@ fn weigh(map: &VslamMap, points: impl Iterator<Item = PointId>) -> (usize, f64) 
     }
     (ranged_count, f64::from(expected_count).sqrt())
 }
+
+#[cfg(test)]
+mod tests {
+    use camera::{CameraModel, Distortion, Intrinsics};
+    use features::Descriptor;
+    use geometry::Timestamp;
+    use nalgebra::{Matrix3, Vector2};
+
+    use super::*;
+    use crate::map::{ExpectedRange, NewPoint};
+    use crate::optics::Optics;
+    use crate::plane_grid::PlaneGrid;
+    use crate::{MapId, Observation, View};
+
+    const DEPTH: f64 = 4.0;
+    const RANGED: usize = 25;
+    const ALL: usize = 425;
+
+    /// On the ideal plane: those of known range on the left, the others all over the right.
+    fn seen_from_start(idx: usize) -> Vector2<f64> {
+        match idx.checked_sub(RANGED) {
+            None => Vector2::new(-0.5 + 0.05 * (idx % 5) as f64, 0.2 * (idx / 5) as f64 - 0.4),
+            Some(idx) => Vector2::new(0.03 * (idx % 20) as f64, 0.04 * (idx / 20) as f64 - 0.4),
+        }
+    }
+
+    fn frame(optics: &Optics, centre: Vector3<f64>) -> Frame {
+        let observation = |idx| {
+            let point_in_camera = seen_from_start(idx).push(1.0) * DEPTH - centre;
+            Observation {
+                position: point_in_camera.xy() / point_in_camera.z,
+                position_px: Vector2::zeros(),
+                sigma: 1.0 / 300.0,
+                level: 0,
+                angle_rad: 0.0,
+                descriptor: Descriptor([0; 4]),
+                point: None,
+            }
+        };
+        let observations: Vec<Observation> = (0..ALL).map(observation).collect();
+        Frame {
+            frame_idx: 0,
+            captured_at: Timestamp::default(),
+            grid: PlaneGrid::new(optics, &observations),
+            observations,
+        }
+    }
+
+    #[test]
+    fn a_few_known_ranges_outweigh_hundreds_that_are_expected() {
+        // Goal: everything is twice as far away as expected, as far as that is not known. Then
+        // what is expected says that a step was half as long as it was.
+        let intrinsics = Intrinsics {
+            fx: 300.0,
+            fy: 300.0,
+            cx: 160.0,
+            cy: 120.0,
+        };
+        let camera = CameraModel::new(320, 240, intrinsics, Distortion::None).unwrap();
+        let optics = Optics::new(camera, 1.0);
+        let mut map = VslamMap::new(MapId(0), KeyframeId(0), PointId(0));
+        let keyframe = map.add_keyframe(frame(&optics, Vector3::zeros()), Transform::identity());
+        let step = Vector3::new(0.03, 0.0, 0.0);
+        let mut moved = frame(&optics, step);
+        for (idx, observation) in moved.observations.iter_mut().enumerate() {
+            let ray = seen_from_start(idx).push(1.0);
+            let expected = (idx >= RANGED).then_some(ExpectedRange {
+                inverse_range: 2.0 / DEPTH,
+                sigma: 1.0 / DEPTH,
+            });
+            let along = ray * 0.25 * DEPTH;
+            let observation_idx = idx as u32;
+            let new = NewPoint {
+                position_in_map: ray * DEPTH * if expected.is_some() { 0.5 } else { 1.0 },
+                covariance_in_map: expected.map_or(Matrix3::zeros(), |_| along * along.transpose()),
+                parallax_rad: 0.1,
+                expected_range: expected,
+            };
+            observation.point = Some(map.add_point(
+                new,
+                vec![View {
+                    keyframe,
+                    observation_idx,
+                }],
+            ));
+        }
+        let start = Transform::new(Default::default(), -step);
+        let fit = refine(&map, &start, &mut moved, 20, None).unwrap();
+        let error = fit.camera_from_map.inverse().translation() - step;
+        assert!(error.norm() < 0.3 * step.norm(), "{error}");
+    }
+}
