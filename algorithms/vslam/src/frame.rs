@@ -4,9 +4,9 @@ use features::Features;
 use geometry::{Camera, Map, Timestamp, Transform};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::Observation;
 use crate::optics::Optics;
 use crate::plane_grid::PlaneGrid;
+use crate::{Observation, PointId};
 
 /// What the extractor found in one image.
 #[derive(Clone, Debug)]
@@ -43,6 +43,18 @@ impl Frame {
             captured_at,
             observations,
             grid,
+        }
+    }
+
+    /// The point that each observation shows, if that is known.
+    pub(crate) fn points(&self) -> Vec<Option<PointId>> {
+        self.observations.iter().map(|one| one.point).collect()
+    }
+
+    /// Names the points that the observations show, as [`Self::points`] gave them.
+    pub(crate) fn show(&mut self, points: &[Option<PointId>]) {
+        for (observation, point) in self.observations.iter_mut().zip(points) {
+            observation.point = *point;
         }
     }
 

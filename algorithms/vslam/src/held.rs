@@ -1,5 +1,8 @@
 //! How much of an image the map holds.
 
+use geometry::{Camera, Map, Transform};
+use nalgebra::{Matrix3, Matrix6, RowVector6};
+
 use crate::optics::Optics;
 use crate::{Keyframe, MapPoint, Observation, VslamMap};
 
@@ -10,18 +13,71 @@ const CELLS_ALONG: usize = 8;
 const HELD_KEYPOINTS_MIN: f64 = 0.2;
 const HELD_CELLS_MIN: f64 = 0.7;
 
-/// So many points of known range tell where a camera is.
-pub(crate) const PLACED_MIN: usize = 20;
+/// Fewer points of known range than this may agree on a place by chance.
+const PLACING_POINTS_MIN: usize = 12;
+/// A place is known if it is this certain, as a share of the distance of what is seen.
+const PLACE_SIGMA_MAX: f64 = 0.01;
 
 /// Whether points of known range tell where a keyframe is. If not, nothing that it sees has a
 /// known range because of it.
 pub(crate) fn is_placed(map: &VslamMap, keyframe: &Keyframe) -> bool {
-    let points = keyframe.points().filter_map(|point| map.point(point));
-    points
-        .filter(|point| point.has_range())
-        .take(PLACED_MIN)
-        .count()
-        == PLACED_MIN
+    are_placing(map, &keyframe.camera_from_map, &keyframe.observations)
+}
+
+/// Whether the points of known range among these observations tell where the camera is: a few all
+/// over the image do, many in one corner of it do not.
+pub(crate) fn are_placing(
+    map: &VslamMap,
+    camera_from_map: &Transform<Camera, Map>,
+    observations: &[Observation],
+) -> bool {
+    let rotation = camera_from_map.rotation_matrix();
+    let mut information = Matrix6::zeros();
+    let mut depths = Vec::new();
+    for observation in observations {
+        let Some(point) = observation.point.and_then(|point| map.point(point)) else {
+            continue;
+        };
+        let in_camera = rotation * point.position_in_map + camera_from_map.translation();
+        if !point.has_range() || in_camera.z <= 0.0 {
+            continue;
+        }
+        depths.push(in_camera.z);
+        let inverse_depth = 1.0 / in_camera.z;
+        let (x, y) = (in_camera.x * inverse_depth, in_camera.y * inverse_depth);
+        // By a turn of the camera and by a step of it.
+        let rows = [
+            RowVector6::new(
+                -x * y,
+                1.0 + x * x,
+                -y,
+                inverse_depth,
+                0.0,
+                -x * inverse_depth,
+            ),
+            RowVector6::new(
+                -1.0 - y * y,
+                x * y,
+                x,
+                0.0,
+                inverse_depth,
+                -y * inverse_depth,
+            ),
+        ];
+        for row in rows {
+            information += row.transpose() * row / (observation.sigma * observation.sigma);
+        }
+    }
+    if depths.len() < PLACING_POINTS_MIN {
+        return false;
+    }
+    let middle = depths.len() / 2;
+    let depth = *depths.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let Some(covariance) = information.cholesky().map(|factor| factor.inverse()) else {
+        return false;
+    };
+    let of_place: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
+    of_place.symmetric_eigenvalues().max().sqrt() <= PLACE_SIGMA_MAX * depth
 }
 
 type Cells = [bool; CELLS_ALONG * CELLS_ALONG];
@@ -82,3 +138,6 @@ fn cell(optics: &Optics, observation: &Observation) -> usize {
     });
     along[1] * CELLS_ALONG + along[0]
 }
+
+#[cfg(test)]
+mod tests;

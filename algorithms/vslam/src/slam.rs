@@ -34,7 +34,7 @@ use crate::optics::Optics;
 use crate::places::Places;
 use crate::relocalise::Relocaliser;
 use crate::start::Starter;
-use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, tracked_points};
+use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame};
 use crate::trajectory::FrameRecord;
 use crate::{
     FrameReport, KeyframeId, MapId, MappingReport, PointId, TrackingState, TrajectoryEntry,
@@ -249,6 +249,7 @@ impl Vslam {
             covariance: None,
             inlier_count,
             ranged_count: inlier_count,
+            is_placed: true,
             reference: keyframe,
         };
         let last = self
@@ -261,7 +262,7 @@ impl Vslam {
                 .map
                 .place(keyframe, &camera_from_map)
                 .expect("the keyframe is in the map"),
-            points: tracked_points(last.observations()),
+            observations: last.observations.clone(),
         };
         self.backfill.begin(start.clone());
         self.follow_from(start);

@@ -5,6 +5,7 @@ mod local_map;
 mod match_points;
 mod predict;
 mod refine;
+mod turn;
 
 use geometry::{Camera, Map, Timestamp, Transform};
 use nalgebra::Matrix6;
@@ -16,11 +17,11 @@ pub(crate) use predict::Motion;
 pub(crate) use refine::{Whereabouts, refine};
 
 use crate::frame::Frame;
-use crate::held::PLACED_MIN;
+use crate::held::are_placing;
 use crate::map::Place;
 use crate::optics::Optics;
 use crate::relocalise::locate_near;
-use crate::{KeyframeId, LostReason, PointId, VslamMap};
+use crate::{KeyframeId, LostReason, Observation, PointId, VslamMap};
 
 /// Fewer keypoints that agree with the map are no pose.
 pub(crate) const INLIERS_MIN: usize = 25;
@@ -36,14 +37,7 @@ const CERTAIN_INLIERS: usize = 50;
 pub(crate) struct TrackedFrame {
     pub(crate) captured_at: Timestamp,
     pub(crate) place: Place,
-    pub(crate) points: Vec<TrackedPoint>,
-}
-
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TrackedPoint {
-    pub(crate) id: PointId,
-    pub(crate) level: u8,
-    pub(crate) angle_rad: f32,
+    pub(crate) observations: Vec<Observation>,
 }
 
 /// The pose of a frame in the local map.
@@ -55,33 +49,35 @@ pub(crate) struct Tracked {
     pub(crate) inlier_count: usize,
     /// Those of which the map knows the range: they tell where it is.
     pub(crate) ranged_count: usize,
+    /// Whether they tell it well.
+    pub(crate) is_placed: bool,
     /// The keyframe that shares most points with the frame.
     pub(crate) reference: KeyframeId,
 }
 
-impl Tracked {
-    /// Whether it was measured where the camera is. If not, only how it is turned is known, and
-    /// its place was carried on from the frames before.
-    pub(crate) fn is_placed(&self) -> bool {
-        self.ranged_count >= PLACED_MIN
-    }
+/// What a first guess at the pose of a frame rests on.
+#[derive(Clone, Copy, Debug)]
+enum Guess {
+    /// The camera went on as it did.
+    Motion,
+    /// It turned as what it still shows of the last frame says.
+    Turn,
+    /// It is near the last keyframe, wherever.
+    Looks,
 }
 
-/// The points that these observations show.
-pub(crate) fn tracked_points(observations: &[crate::Observation]) -> Vec<TrackedPoint> {
-    observations
-        .iter()
-        .filter_map(|one| {
-            Some(TrackedPoint {
-                id: one.point?,
-                level: one.level,
-                angle_rad: one.angle_rad,
-            })
-        })
-        .collect()
+/// What it takes to guess: where the frames are, and where the camera should be.
+#[derive(Clone, Copy)]
+struct Search<'a> {
+    optics: &'a Optics,
+    motion: &'a Motion,
+    whereabouts: Option<&'a Whereabouts>,
 }
 
 /// Finds the pose of a frame that follows a tracked one.
+///
+/// A pose that does not say where the camera is may be that of a wrong guess, as in a fast turn:
+/// then the other guesses are tried, and the best of them counts.
 pub(crate) fn track(
     optics: &Optics,
     map: &mut VslamMap,
@@ -93,39 +89,83 @@ pub(crate) fn track(
         return Err(LostReason::FewKeypoints);
     }
     let whereabouts = motion.whereabouts(map, frame.captured_at);
-    let first = track_by_motion(optics, map, (motion, whereabouts.as_ref()), frame)
-        .or_else(|| locate_near(map, motion.last.place.keyframe, frame, rng))
-        .ok_or(LostReason::FewInliers)?;
-    let tracked = track_local_map(optics, map, frame, &first, whereabouts.as_ref())?;
-    if !tracked.is_placed() && motion.is_adrift(frame.captured_at) {
+    let search = Search {
+        optics,
+        motion,
+        whereabouts: whereabouts.as_ref(),
+    };
+    let mut best: Option<(Tracked, Vec<Option<PointId>>)> = None;
+    for guess in [Guess::Motion, Guess::Turn, Guess::Looks] {
+        let Some(first) = search.guess(guess, map, frame, rng) else {
+            continue;
+        };
+        let Ok(tracked) = track_local_map(optics, map, frame, &first, search.whereabouts) else {
+            continue;
+        };
+        let suffices = tracked.is_placed || motion.expects_no_more_than(tracked.inlier_count);
+        let known = best.as_ref().map(|(best, _)| best.rank());
+        if known.is_none_or(|known| tracked.rank() > known) {
+            best = Some((tracked, frame.points()));
+        }
+        if suffices {
+            break;
+        }
+    }
+    let (tracked, points) = best.ok_or(LostReason::FewInliers)?;
+    frame.show(&points);
+    if !tracked.is_placed && motion.is_adrift(frame.captured_at) {
         return Err(LostReason::OnlyDirections);
     }
     Ok(tracked)
 }
 
-/// The pose from the points of the last frame, searched where constant velocity expects them.
-fn track_by_motion(
-    optics: &Optics,
-    map: &VslamMap,
-    (motion, whereabouts): (&Motion, Option<&Whereabouts>),
-    frame: &mut Frame,
-) -> Option<Transform<Camera, Map>> {
-    let predicted = motion.predict(map, frame.captured_at)?;
-    for window_px in [15.0, 30.0] {
-        frame.forget_points();
-        match_points::match_last_frame(
-            optics,
-            map,
-            &motion.last.points,
-            (&predicted, window_px),
-            frame,
-        );
-        if let Some(fit) = refine(map, &predicted, frame, FIRST_INLIERS_MIN, whereabouts) {
-            return Some(fit.camera_from_map);
+impl Tracked {
+    /// A pose that says where the camera is counts for more than one by many keypoints.
+    fn rank(&self) -> (bool, usize) {
+        (self.is_placed, self.inlier_count)
+    }
+}
+
+impl Search<'_> {
+    fn guess(
+        &self,
+        guess: Guess,
+        map: &VslamMap,
+        frame: &mut Frame,
+        rng: &mut ChaCha8Rng,
+    ) -> Option<Transform<Camera, Map>> {
+        let (motion, at) = (self.motion, frame.captured_at);
+        match guess {
+            Guess::Motion => self.from(&motion.predict(map, at)?, map, frame),
+            Guess::Turn => {
+                let seen = (&motion.last.observations, &frame.observations);
+                let turn = turn::turn_between(seen.0, seen.1, rng)?;
+                self.from(&motion.predict_turned(map, at, Some(turn))?, map, frame)
+            }
+            Guess::Looks => locate_near(map, motion.last.place.keyframe, frame, rng),
         }
     }
-    frame.forget_points();
-    None
+
+    /// The pose from the points of the last frame, searched where this prediction expects them.
+    fn from(
+        &self,
+        predicted: &Transform<Camera, Map>,
+        map: &VslamMap,
+        frame: &mut Frame,
+    ) -> Option<Transform<Camera, Map>> {
+        let last = &self.motion.last.observations;
+        for window_px in [15.0, 30.0] {
+            frame.forget_points();
+            let expected = (predicted, window_px);
+            match_points::match_last_frame(self.optics, map, last, expected, frame);
+            let fit = refine(map, predicted, frame, FIRST_INLIERS_MIN, self.whereabouts);
+            if let Some(fit) = fit {
+                return Some(fit.camera_from_map);
+            }
+        }
+        frame.forget_points();
+        None
+    }
 }
 
 /// Grows a first pose by all points that should be in view.
@@ -162,6 +202,7 @@ pub(crate) fn track_local_map(
         covariance: Some(fit.covariance),
         inlier_count: fit.inlier_count,
         ranged_count: seen_count,
+        is_placed: are_placing(map, &fit.camera_from_map, &frame.observations),
         reference,
     })
 }

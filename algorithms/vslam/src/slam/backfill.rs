@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::VslamMap;
 use crate::frame::Frame;
 use crate::optics::Optics;
-use crate::tracking::{Motion, TrackedFrame, track, tracked_points};
+use crate::tracking::{Motion, TrackedFrame, track};
 use crate::trajectory::FrameRecord;
 
 /// Frames remembered; the oldest are forgotten first.
@@ -79,16 +79,16 @@ fn find(
         return Some(TrackedFrame {
             captured_at,
             place: map.place(keyframe.id, &keyframe.camera_from_map)?,
-            points: tracked_points(&keyframe.observations),
+            observations: keyframe.observations.clone(),
         });
     }
     let tracked = track(optics, map, &Motion::starting_at(later.clone()), frame, rng).ok()?;
-    if !tracked.is_placed() {
+    if !tracked.is_placed {
         return None;
     }
     Some(TrackedFrame {
         captured_at,
         place: map.place(tracked.reference, &tracked.camera_from_map)?,
-        points: tracked_points(&frame.observations),
+        observations: frame.observations.clone(),
     })
 }

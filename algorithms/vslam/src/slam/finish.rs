@@ -48,7 +48,7 @@ impl Vslam {
             Some(TrackedFrame {
                 captured_at: keyframe.captured_at,
                 place: self.map.place(keyframe.id, &keyframe.camera_from_map)?,
-                points: Vec::new(),
+                observations: Vec::new(),
             })
         });
         if let Some(newest) = newest {

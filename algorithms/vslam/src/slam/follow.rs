@@ -4,7 +4,7 @@ use super::grow_map::Unmapped;
 use super::{Backfill, Mode, Outcome, Vslam};
 use crate::frame::Frame;
 use crate::start::Starter;
-use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, track, tracked_points};
+use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, track};
 use crate::{LostReason, MapId, TrackingState, VslamMap};
 
 /// After so many frames without a pose the last motion says nothing any more.
@@ -92,7 +92,7 @@ impl Vslam {
     pub(super) fn accept(&mut self, frame: Frame, tracked: Tracked) -> Outcome {
         let rank = self.map.rank();
         let largest = self.earlier.iter().map(VslamMap::rank).max();
-        let placed = tracked.is_placed();
+        let placed = tracked.is_placed;
         if !placed || largest.is_some_and(|largest| largest > rank) {
             // The map may never be joined to the largest; the frame may still be found there. And
             // what was not measured now may be when the map has grown.
@@ -206,7 +206,7 @@ impl Vslam {
         self.follow_from(TrackedFrame {
             captured_at: frame.captured_at,
             place,
-            points: tracked_points(&frame.observations),
+            observations: frame.observations.clone(),
         });
         Some(tracked)
     }

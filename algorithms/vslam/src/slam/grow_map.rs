@@ -5,7 +5,7 @@ use super::waiting::Search;
 use super::{Mode, Vslam};
 use crate::frame::Frame;
 use crate::mapping::Insertion;
-use crate::tracking::{Tracked, TrackedFrame, tracked_points, wants_keyframe};
+use crate::tracking::{Tracked, TrackedFrame, wants_keyframe};
 use crate::{KeyframeId, MappingReport, VslamMap};
 
 /// What the newest frame leaves to do when its pose is known.
@@ -49,8 +49,8 @@ impl Vslam {
         };
         let captured_at = frame.captured_at;
         let frame_idx = frame.frame_idx as usize;
-        let mut points = tracked_points(&frame.observations);
         let mut insertion = None;
+        let observations;
         if wants_keyframe((&self.optics, &self.map), clock, &frame, &tracked) {
             let pose = (tracked.camera_from_map, tracked.reference);
             let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
@@ -67,19 +67,21 @@ impl Vslam {
                 .map
                 .keyframe(inserted.keyframe)
                 .expect("the newest keyframe is never culled");
-            points = tracked_points(keyframe.observations());
+            observations = keyframe.observations.clone();
             tracked.camera_from_map = *keyframe.camera_from_map();
             tracked.reference = inserted.keyframe;
             clock.last_keyframe_at = captured_at;
             self.ups.note(inserted.keyframe);
             insertion = Some(inserted);
+        } else {
+            observations = frame.observations;
         }
         let place = self
             .map
             .place(tracked.reference, &tracked.camera_from_map)
             .expect("the reference is in the map");
         let record = self.trajectory.get_mut(frame_idx);
-        if let Some(record) = record.filter(|_| tracked.is_placed()) {
+        if let Some(record) = record.filter(|_| tracked.is_placed) {
             record.place = Some(place);
         }
         if let Some(turn) = motion.turn_to(&self.map, &place) {
@@ -91,7 +93,7 @@ impl Vslam {
             TrackedFrame {
                 captured_at,
                 place,
-                points,
+                observations,
             },
         );
         if insertion.is_none() {

@@ -6,7 +6,7 @@ use geometry::Timestamp;
 use super::follow::PATIENCE_S;
 use super::{Mode, Outcome, Vslam};
 use crate::frame::Frame;
-use crate::tracking::{INLIERS_MIN, Tracked, TrackedFrame, tracked_points};
+use crate::tracking::{INLIERS_MIN, Tracked, TrackedFrame};
 use crate::{KeyframeId, LostReason, TrackingState, VslamMap, VslamSettings};
 
 impl Vslam {
@@ -66,7 +66,7 @@ impl Vslam {
         Some(TrackedFrame {
             captured_at: frame.captured_at,
             place,
-            points: tracked_points(&frame.observations),
+            observations: frame.observations.clone(),
         })
     }
 

@@ -13,7 +13,7 @@ use crate::optics::Optics;
 use crate::places::Places;
 use crate::plane_grid::PlaneGrid;
 use crate::relocalise::Relocaliser;
-use crate::tracking::{Motion, Tracked, TrackedFrame, track, tracked_points};
+use crate::tracking::{Motion, Tracked, TrackedFrame, track};
 use crate::trajectory::FrameRecord;
 use crate::{Observation, VslamMap};
 
@@ -184,7 +184,7 @@ fn locate(
         let motion = Motion::starting_at(TrackedFrame {
             captured_at: frame.captured_at,
             place,
-            points: tracked_points(&keyframe.observations),
+            observations: keyframe.observations.clone(),
         });
         track(search.optics, map, &motion, frame, search.rng).ok()
     });

@@ -2,11 +2,10 @@
 
 use geometry::{Camera, Map, Transform};
 
-use super::TrackedPoint;
-use crate::VslamMap;
 use crate::frame::{Frame, Viewpoint};
 use crate::optics::{Optics, level_scale};
 use crate::search::{Gate, Wanted, consistent_turns, find};
+use crate::{Observation, VslamMap};
 
 const GATE: Gate = Gate {
     distance_max: 80,
@@ -18,15 +17,15 @@ const GATE: Gate = Gate {
 pub(crate) fn match_last_frame(
     optics: &Optics,
     map: &VslamMap,
-    points: &[TrackedPoint],
+    last: &[Observation],
     (predicted, window_px): (&Transform<Camera, Map>, f64),
     frame: &mut Frame,
 ) {
     let viewpoint = Viewpoint::new(*predicted);
-    let mut matched = Vec::with_capacity(points.len());
-    let mut turns_rad = Vec::with_capacity(points.len());
-    for tracked in points {
-        let Some(point) = map.point(tracked.id) else {
+    let mut matched = Vec::with_capacity(last.len());
+    let mut turns_rad = Vec::with_capacity(last.len());
+    for tracked in last {
+        let Some(point) = tracked.point.and_then(|id| map.point(id)) else {
             continue;
         };
         let point_in_camera = viewpoint.transform(&point.position_in_map);
@@ -40,10 +39,10 @@ pub(crate) fn match_last_frame(
             levels: tracked.level.saturating_sub(1)..=tracked.level + 1,
             descriptor: &point.descriptor,
         };
-        let free = |observation: &crate::Observation| observation.point.is_none();
+        let free = |observation: &Observation| observation.point.is_none();
         if let Some(found) = find(&wanted, (&frame.grid, &frame.observations), GATE, free) {
             let observation = &mut frame.observations[found.observation_idx];
-            observation.point = Some(tracked.id);
+            observation.point = tracked.point;
             turns_rad.push(observation.angle_rad - tracked.angle_rad);
             matched.push(found.observation_idx);
         }

@@ -3,9 +3,10 @@
 use geometry::{Camera, Map, Timestamp, Transform};
 use nalgebra::UnitQuaternion;
 
+use super::refine::STEP_KEPT;
 use super::{TrackedFrame, Whereabouts};
 use crate::VslamMap;
-use crate::held::PLACED_MIN;
+use crate::held::are_placing;
 use crate::map::Place;
 
 /// Velocity is carried on for at most this many frame intervals.
@@ -27,12 +28,20 @@ pub(crate) struct Motion {
     pub(crate) missed_count: u32,
     /// When points of known range last told where the camera was.
     placed_at: Timestamp,
+    /// How fast it may still be since, per second.
+    speed_max: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Velocity {
     later_from_earlier: Transform<Camera, Camera>,
     interval_s: f64,
+}
+
+impl Velocity {
+    fn speed(&self) -> f64 {
+        self.later_from_earlier.translation().norm() / self.interval_s
+    }
 }
 
 impl Motion {
@@ -44,6 +53,7 @@ impl Motion {
             velocity: None,
             turn: None,
             missed_count: 0,
+            speed_max: 0.0,
         }
     }
 
@@ -79,9 +89,12 @@ impl Motion {
                 later_from_earlier: later * earlier.inverse(),
                 interval_s,
             });
-        let points = next.points.iter().filter_map(|point| map.point(point.id));
-        if points.filter(|point| point.has_range()).count() >= PLACED_MIN {
+        let pose = pose(&next);
+        if pose.is_some_and(|pose| are_placing(map, &pose, &next.observations)) {
             self.placed_at = next.captured_at;
+            self.speed_max = self.velocity.map_or(0.0, |velocity| velocity.speed());
+        } else {
+            self.speed_max *= STEP_KEPT;
         }
         self.last = next;
         self.turn = None;
@@ -95,6 +108,7 @@ impl Motion {
             let way = motion.translation() * factor;
             velocity.later_from_earlier = Transform::new(*motion.rotation(), way);
         }
+        self.speed_max *= factor;
     }
 
     /// The pose of the last frame, corrected with the map since.
@@ -107,20 +121,41 @@ impl Motion {
         at - self.placed_at > UNPLACED_MAX_S
     }
 
+    /// Whether a pose by so many keypoints is as good as can be hoped for where none tells where
+    /// the camera is: that was so at the last frame, and much of what it showed is still there.
+    pub(crate) fn expects_no_more_than(&self, inlier_count: usize) -> bool {
+        let shown = self.last.observations.iter();
+        let shown_count = shown.filter(|one| one.point.is_some()).count();
+        self.placed_at < self.last.captured_at && 2 * inlier_count >= shown_count
+    }
+
     /// Where the camera was last, and should be now.
     pub(crate) fn whereabouts(&self, map: &VslamMap, at: Timestamp) -> Option<Whereabouts> {
         let centre = |pose: Transform<Camera, Map>| *pose.inverse().translation();
+        let last_in_map = centre(self.last_pose(map)?);
+        let step = centre(self.predict(map, at)?) - last_in_map;
+        let step_max = self.speed_max * (at - self.last.captured_at);
         Some(Whereabouts {
-            last_in_map: centre(self.last_pose(map)?),
-            expected_in_map: centre(self.predict(map, at)?),
+            last_in_map,
+            expected_in_map: last_in_map + step.cap_magnitude(step_max),
             keyframe: map.holder(self.last.place.keyframe)?,
         })
     }
 
     /// The pose at this time, if the camera went on as it did.
     pub(crate) fn predict(&self, map: &VslamMap, at: Timestamp) -> Option<Transform<Camera, Map>> {
+        self.predict_turned(map, at, self.turn)
+    }
+
+    /// The same for a camera that turned like this since the last frame, if that is known.
+    pub(crate) fn predict_turned(
+        &self,
+        map: &VslamMap,
+        at: Timestamp,
+        turn: Option<UnitQuaternion<f64>>,
+    ) -> Option<Transform<Camera, Map>> {
         let moved = self.moved(at);
-        let moved = match self.turn {
+        let moved = match turn {
             // The path of the camera stays, its axes are those that the gyroscope tells.
             Some(turn) => Transform::new(turn, turn * -*moved.inverse().translation()),
             None => moved,
@@ -137,3 +172,6 @@ impl Motion {
         Transform::exp(&tangent)
     }
 }
+
+#[cfg(test)]
+mod tests;

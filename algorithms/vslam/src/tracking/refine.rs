@@ -7,7 +7,7 @@ use geometry::{Camera, Map, Transform};
 use nalgebra::{Matrix6, Vector3};
 
 use crate::frame::{Frame, Viewpoint};
-use crate::held::PLACED_MIN;
+use crate::held::are_placing;
 use crate::{KeyframeId, PointId, VslamMap};
 
 /// A pose and how well it is known.
@@ -40,7 +40,7 @@ impl Whereabouts {
 }
 
 /// A camera that nothing tells how it moves is thought to come to rest.
-const STEP_KEPT: f64 = 0.7;
+pub(super) const STEP_KEPT: f64 = 0.7;
 /// How uncertain a step is, as shares of itself and of the distance of what is seen.
 const STEP_DOUBT: f64 = 0.5;
 const DEPTH_DOUBT: f64 = 0.002;
@@ -55,7 +55,7 @@ pub(crate) fn refine(
 ) -> Option<PoseFit> {
     let viewpoint = Viewpoint::new(*start);
     let shown = frame.observations.iter().filter_map(|one| one.point);
-    let (ranged_count, doubt) = weigh(map, shown);
+    let doubt = doubt(map, shown);
     let mut indices = Vec::with_capacity(frame.observations.len());
     let mut matches = Vec::with_capacity(frame.observations.len());
     for (idx, observation) in frame.observations.iter().enumerate() {
@@ -75,7 +75,7 @@ pub(crate) fn refine(
     let settings = RefineSettings {
         inlier_count_min,
         position_prior: whereabouts
-            .filter(|_| ranged_count < PLACED_MIN)
+            .filter(|_| !are_placing(map, start, &frame.observations))
             .map(|whereabouts| whereabouts.prior(map)),
         ..RefineSettings::default()
     };
@@ -92,16 +92,13 @@ pub(crate) fn refine(
     })
 }
 
-/// How many of these points have a known range, and by how much less certain each of the others
-/// counts than it is: what is expected of many points is wrong for all of them alike, so that
-/// together they may tell no more of how far a camera moved than one alone.
-fn weigh(map: &VslamMap, points: impl Iterator<Item = PointId>) -> (usize, f64) {
-    let (mut ranged_count, mut expected_count) = (0, 0_u32);
-    for point in points.filter_map(|point| map.point(point)) {
-        ranged_count += usize::from(point.has_range());
-        expected_count += u32::from(!point.has_range());
-    }
-    (ranged_count, f64::from(expected_count).sqrt())
+/// By how much less certain a point of unknown range counts than it is: what is expected of many
+/// points is wrong for all of them alike, so that together they may tell no more of how far a
+/// camera moved than one alone.
+fn doubt(map: &VslamMap, points: impl Iterator<Item = PointId>) -> f64 {
+    let known = points.filter_map(|point| map.point(point));
+    let expected_count = known.filter(|point| !point.has_range()).count();
+    (expected_count as f64).sqrt()
 }
 
 #[cfg(test)]
