@@ -221,7 +221,10 @@ impl Vslam {
         };
         let captured_at = frame.captured_at;
         starter.turn = last_at.and_then(|last_at| self.inertia.turn(last_at, captured_at));
-        self.backfill.remember(&frame);
+        let forgotten = self.backfill.remember(&frame);
+        if let Some(forgotten) = forgotten {
+            self.waiting.remember(&forgotten);
+        }
         let into = (&self.map, &mut self.workspace);
         match starter.advance(&self.optics, frame, into, &mut self.rng) {
             Err(reason) => Outcome::without_pose(TrackingState::Starting { reason }),

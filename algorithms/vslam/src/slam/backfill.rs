@@ -10,7 +10,7 @@ use crate::optics::Optics;
 use crate::tracking::{Motion, TrackedFrame, track};
 use crate::trajectory::FrameRecord;
 
-/// Frames remembered; the oldest are forgotten first.
+/// Frames remembered; the oldest give their place to new ones.
 const FRAMES_MAX: usize = 120;
 
 /// Frames that wait to be localised from their own image.
@@ -22,11 +22,12 @@ pub(super) struct Backfill {
 }
 
 impl Backfill {
-    pub(super) fn remember(&mut self, frame: &Frame) {
-        if self.frames.len() == FRAMES_MAX {
-            self.frames.pop_front();
-        }
+    /// Remembers a frame; returns the one that gives its place to it.
+    pub(super) fn remember(&mut self, frame: &Frame) -> Option<Frame> {
+        let full = self.frames.len() == FRAMES_MAX;
+        let forgotten = full.then(|| self.frames.pop_front()).flatten();
         self.frames.push_back(frame.clone());
+        forgotten
     }
 
     /// The newest frame remembered is the one with which the map started.

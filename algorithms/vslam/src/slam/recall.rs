@@ -35,7 +35,10 @@ impl Vslam {
     pub(super) fn recall(&mut self, mut frame: Frame, since: Option<Timestamp>) -> Outcome {
         let since = since.unwrap_or(frame.captured_at);
         self.mode = Mode::Recalling { since: Some(since) };
-        self.backfill.remember(&frame);
+        let forgotten = self.backfill.remember(&frame);
+        if let Some(forgotten) = forgotten {
+            self.waiting.remember(&forgotten);
+        }
         let index = (&self.optics, &self.places);
         let map = &mut self.map;
         let located = self

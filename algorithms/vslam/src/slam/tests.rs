@@ -423,6 +423,24 @@ fn a_turn_to_what_was_never_seen_from_elsewhere_is_followed_and_said() {
 }
 
 #[test]
+fn a_long_wait_before_the_start_is_found_afterwards() {
+    // A vehicle that stands for longer than the frames before a start are remembered for it.
+    let world = World::new(7);
+    let waiting = 140;
+    let mut slam = machine();
+    for frame in 0..waiting + 40_usize {
+        let shot = pose(frame.saturating_sub(waiting));
+        slam.process(&world.render(&shot), stamp(frame));
+    }
+    slam.finish();
+    let trajectory = slam.trajectory();
+    let missing = trajectory
+        .iter()
+        .filter(|one| one.map_from_camera.is_none());
+    assert_eq!(missing.count(), 0);
+}
+
+#[test]
 fn images_without_content_are_no_start() {
     let mut slam = machine();
     let mut noise = 1_u32;

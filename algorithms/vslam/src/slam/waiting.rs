@@ -17,8 +17,8 @@ use crate::tracking::{Motion, Tracked, TrackedFrame, track};
 use crate::trajectory::FrameRecord;
 use crate::{Observation, VslamMap};
 
-/// Frames kept, about 60 kB each; the oldest are forgotten first.
-const FRAMES_MAX: usize = 300;
+/// Frames kept, about 50 kB each; the oldest are forgotten first.
+const FRAMES_MAX: usize = 600;
 /// A frame is tried again when the map has so many more keyframes, or was corrected.
 const GROWTH_KEYFRAMES: usize = 3;
 /// Tries while the camera goes on; the end has one more.
