@@ -73,6 +73,29 @@ pub fn match_mutual(
         .collect()
 }
 
+/// Descriptors laid out so that their distances to another one come many at a time.
+#[derive(Clone, Debug, Default)]
+pub struct DescriptorColumns {
+    words: hamming::WordColumns,
+    count: usize,
+}
+
+impl DescriptorColumns {
+    pub fn new(descriptors: &[Descriptor]) -> Self {
+        Self {
+            words: hamming::WordColumns::new(descriptors),
+            count: descriptors.len(),
+        }
+    }
+
+    /// The distance from `query` to each, in order, into `distances`.
+    pub fn distances(&self, query: &Descriptor, distances: &mut Vec<u16>) {
+        distances.resize(self.count, 0);
+        self.words
+            .distances(InstructionSet::detect(), query, distances);
+    }
+}
+
 /// The nearest of all; `None` if there are none.
 pub fn nearest(query: &Descriptor, train: &[Descriptor]) -> Option<Nearest> {
     nearest_of(query, train, 0..train.len() as u32)

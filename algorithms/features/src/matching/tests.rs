@@ -60,6 +60,17 @@ proptest! {
     }
 
     #[test]
+    fn columns_give_each_distance(query in descriptors(3), train in descriptors(40)) {
+        let columns = DescriptorColumns::new(&train);
+        let mut found = vec![1; 50];
+        for one in &query {
+            columns.distances(one, &mut found);
+            let expected = train.iter().map(|other| one.distance(other) as u16);
+            prop_assert_eq!(&found, &expected.collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
     fn bytes_keep_the_bits(words in any::<[u64; 4]>()) {
         let descriptor = Descriptor(words);
         let bytes = descriptor.to_bytes();
