@@ -83,6 +83,7 @@ pub(crate) fn measure(
             .into_iter()
             .max_by_key(Vec::len)
             .unwrap_or_default(),
+        evidence: None,
     }
 }
 

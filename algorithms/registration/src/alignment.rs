@@ -2,6 +2,9 @@
 
 use geometry::{Matrix7, Similarity};
 
+use crate::evidence::Evidence;
+use crate::gravity::Gravity;
+
 /// The frame of the cloud that is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {}
@@ -43,6 +46,8 @@ pub struct RegisterSettings {
     /// Pairs farther apart are not pairs; `None` derives it from the spacing of the points.
     pub max_distance_m: Option<f64>,
     pub iteration_limit: usize,
+    /// Which way is up in both clouds, if that is known: the search only turns about it.
+    pub gravity: Option<Gravity>,
     /// The seed of the search.
     pub seed: u64,
 }
@@ -56,6 +61,7 @@ impl Default for RegisterSettings {
             voxel_m: None,
             max_distance_m: None,
             iteration_limit: 60,
+            gravity: None,
             seed: 1,
         }
     }
@@ -98,6 +104,8 @@ pub struct Quality {
     pub residual_contrast: f64,
     /// Directions that the geometry does not fix, in words.
     pub weak_directions: Vec<String>,
+    /// What the search found; `None` without one.
+    pub evidence: Option<Evidence>,
 }
 
 /// Why a registration was refused.
@@ -108,7 +116,11 @@ pub enum Refusal {
         target_count: usize,
     },
     SearchFoundNothing,
-    Ambiguous,
+    /// What explains the clouds explains them about as well elsewhere.
+    Ambiguous {
+        consistent_count: usize,
+        runner_up_count: usize,
+    },
     NotConverged,
     LittleOverlap {
         source: f64,
@@ -136,7 +148,14 @@ impl std::fmt::Display for Refusal {
                 target_count,
             } => write!(f, "too few points: {source_count} and {target_count}"),
             Self::SearchFoundNothing => write!(f, "search found no alignment"),
-            Self::Ambiguous => write!(f, "two different alignments explain the clouds equally"),
+            Self::Ambiguous {
+                consistent_count,
+                runner_up_count,
+            } => write!(
+                f,
+                "ambiguous: {consistent_count} points agree with one alignment, and \
+                 {runner_up_count} others with another"
+            ),
             Self::NotConverged => write!(f, "not converged"),
             Self::LittleOverlap { source, target } => write!(
                 f,

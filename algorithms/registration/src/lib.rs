@@ -3,6 +3,8 @@
 mod acceptance;
 mod alignment;
 pub mod cloud;
+mod evidence;
+mod gravity;
 mod icp;
 pub mod kd_tree;
 pub mod localizer;
@@ -13,6 +15,8 @@ pub use alignment::{
     Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target,
 };
 pub use cloud::{Cloud, Descriptors, ShapedCloud};
+pub use evidence::{Clue, Evidence};
+pub use gravity::Gravity;
 pub use localizer::{
     AlignmentReport, AnchorIdx, ChunkIdx, CorrectedKeyframe, Estimate, KeyframeIdx,
     KeyframeObservation, Landmark, Localizer, LocalizerSettings, ObservedFeature, ObservedPoint,

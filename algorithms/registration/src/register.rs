@@ -6,8 +6,8 @@ use nalgebra::UnitQuaternion;
 use crate::acceptance::{judge, measure};
 use crate::alignment::{Alignment, Outcome, Refusal, RegisterSettings, Source, Start, Target};
 use crate::cloud::{Cloud, ShapedCloud};
-use crate::icp::{IcpSettings, iterate};
-use crate::search;
+use crate::icp::{Icp, IcpSettings, iterate};
+use crate::search::{self, Found};
 
 /// Aligns `source` to `target`.
 ///
@@ -34,36 +34,77 @@ pub fn align(source: &ShapedCloud, target: &ShapedCloud, settings: &RegisterSett
         Start::Given(guess) => guess,
         Start::Search => {
             return match search::find(source, target, settings) {
-                Ok(start) => align_from(source, target, &start, settings),
+                Ok(found) => align_found(source, target, &found, settings),
                 Err(refusal) => Outcome::refused(refusal),
             };
         }
     };
-    align_from(source, target, &centred(source, target, &given), settings)
+    let start = centred(source, target, &given);
+    match iterate(source, target, &start, &icp_settings(settings)) {
+        Some(icp) => verdict(source, target, &icp, None, settings),
+        None => nothing_nearby(),
+    }
 }
 
-/// Iterates from a start between the centred clouds, and judges the end.
-fn align_from(
+/// Refines what a search found. Where correspondences say that the iteration ended elsewhere,
+/// they are believed: which points are the same is known of them, and only guessed by nearness.
+fn align_found(
     source: &ShapedCloud,
     target: &ShapedCloud,
-    start: &Similarity<Target, Source>,
+    found: &Found,
     settings: &RegisterSettings,
 ) -> Outcome {
-    let icp_settings = IcpSettings {
+    let Some(refined) = iterate(source, target, &found.start, &icp_settings(settings)) else {
+        return nothing_nearby();
+    };
+    let has_failed = refined.scale_bounded || !refined.converged;
+    if found.agreement.is_none() || !(has_failed || found.contradicts(&refined.target_from_source))
+    {
+        return verdict(source, target, &refined, Some(found), settings);
+    }
+    let kept = Icp {
+        target_from_source: found.start,
+        converged: true,
+        scale_bounded: false,
+        ..refined
+    };
+    verdict(source, target, &kept, Some(found), settings)
+}
+
+fn icp_settings(settings: &RegisterSettings) -> IcpSettings {
+    IcpSettings {
         metric: settings.metric,
         with_scale: settings.with_scale,
         max_distance: settings.max_distance_m,
         iteration_limit: settings.iteration_limit,
+    }
+}
+
+fn nothing_nearby() -> Outcome {
+    Outcome::refused(Refusal::LittleOverlap {
+        source: 0.0,
+        target: 0.0,
+    })
+}
+
+/// Measures and judges where an alignment ended.
+fn verdict(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    icp: &Icp,
+    found: Option<&Found>,
+    settings: &RegisterSettings,
+) -> Outcome {
+    let mut quality = measure(source, target, icp, settings.metric, settings.with_scale);
+    quality.evidence = found.map(|found| found.evidence);
+    let verdict = judge(source, target, icp, &quality);
+    let by_correspondences = found
+        .filter(|found| found.start == icp.target_from_source)
+        .and_then(|found| found.agreement.as_ref());
+    let covariance = match by_correspondences {
+        Some(agreement) => agreement.covariance(&icp.target_from_source, settings.with_scale),
+        None => icp.normal.covariance(settings.with_scale),
     };
-    let Some(icp) = iterate(source, target, start, &icp_settings) else {
-        return Outcome::refused(Refusal::LittleOverlap {
-            source: 0.0,
-            target: 0.0,
-        });
-    };
-    let quality = measure(source, target, &icp, settings.metric, settings.with_scale);
-    let verdict = judge(source, target, &icp, &quality);
-    let covariance = icp.normal.covariance(settings.with_scale);
     match (verdict, covariance) {
         (Ok(()), Some(covariance)) => {
             // S = T(c_t) S' T(−c_s): the step at the centred source moves along by T(c_s).

@@ -1,73 +1,137 @@
 //! A start where none is known: correspondences by appearance or by local shape, then consensus.
 
+mod agreement;
+mod appearance;
+mod by_shape;
 mod consensus;
-mod correspondences;
 mod local_shape;
 mod mutual;
 
 use geometry::Similarity;
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::acceptance::partner_distance;
 use crate::alignment::{Refusal, RegisterSettings, Source, Target};
-use crate::cloud::ShapedCloud;
-use crate::icp::overlaps;
+use crate::cloud::{Descriptors, ShapedCloud};
+use crate::evidence::{Clue, Evidence, false_alarms_log10};
+use agreement::Agreement;
+use appearance::{Seen, match_mutual};
+use by_shape::find_by_shape;
 
+pub use appearance::Appearance;
 pub use consensus::{ConsensusSettings, Correspondence, Hypothesis, find_consensus};
 
-/// Hypotheses that are compared by their overlap.
-const HYPOTHESIS_COUNT: usize = 6;
-/// A second alignment with this share of the best one's overlap makes the search ambiguous.
-const RIVAL_SHARE_MAX: f64 = 0.95;
+/// A start between the centred clouds, and what speaks for it.
+#[derive(Clone, Debug)]
+pub(crate) struct Found {
+    pub start: Similarity<Target, Source>,
+    pub evidence: Evidence,
+    /// What points that look the same say; `None` where only shapes were compared.
+    pub agreement: Option<Agreement>,
+}
+
+impl Found {
+    /// Whether a refined alignment tears apart what looks the same.
+    pub fn contradicts(&self, refined: &Similarity<Target, Source>) -> bool {
+        self.agreement
+            .as_ref()
+            .is_some_and(|agreement| agreement.is_torn(&self.start, refined))
+    }
+}
+
+/// How far points that look the same may lie apart, relative to the target's middle radius.
+const INLIER_SHARE: f64 = 0.06;
+/// Points of one cloud nearer than this, relative to its middle radius, are one thing mapped twice.
+const TWIN_SHARE: f64 = 0.01;
 
 /// An alignment of the centred clouds, near enough for the iteration.
 pub(crate) fn find(
     source: &ShapedCloud,
     target: &ShapedCloud,
     settings: &RegisterSettings,
-) -> Result<Similarity<Target, Source>, Refusal> {
-    let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-    let pairs = correspondences::find(source, target, settings.with_scale);
-    let consensus_settings = ConsensusSettings {
-        with_scale: settings.with_scale,
-        inlier_distance: (0.02 * target.radius).max(3.0 * target.spacing),
-        hypothesis_count: HYPOTHESIS_COUNT,
-        ..ConsensusSettings::default()
+) -> Result<Found, Refusal> {
+    let pairs = match (&source.descriptors, &target.descriptors) {
+        (Descriptors::Binary(of_source), Descriptors::Binary(of_target)) => {
+            match_mutual(seen(source, of_source), seen(target, of_target))
+        }
+        (Descriptors::Histogram(of_source), Descriptors::Histogram(of_target)) => {
+            match_mutual(seen(source, of_source), seen(target, of_target))
+        }
+        _ => return find_by_shape(source, target, settings),
     };
-    let hypotheses = find_consensus(&pairs, &consensus_settings, &mut rng);
-    let mut ranked: Vec<(f64, Similarity<Target, Source>)> = hypotheses
-        .iter()
-        .map(|hypothesis| {
-            let start = hypothesis.target_from_source;
-            // Before the refinement partners are farther apart.
-            let distance = 2.0 * partner_distance(source, target, start.scale());
-            let (of_source, of_target) = overlaps(source, target, &start, distance);
-            (
-                of_source * of_target * hypothesis.inlier_count as f64,
-                start,
-            )
+    let pairs: Vec<Correspondence> = pairs
+        .into_iter()
+        .map(|(source_idx, target_idx)| Correspondence {
+            in_target: target.points[target_idx],
+            in_source: source.points[source_idx],
         })
         .collect();
-    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let (best_rank, best) = *ranked.first().ok_or(Refusal::SearchFoundNothing)?;
-    let ambiguous = ranked[1..].iter().any(|(rank, start)| {
-        *rank > RIVAL_SHARE_MAX * best_rank && !is_near(&best, start, source.radius)
-    });
-    if ambiguous {
-        return Err(Refusal::Ambiguous);
-    }
-    Ok(best)
+    find_by_appearance(
+        &pairs,
+        INLIER_SHARE * middle_radius(&target.points),
+        settings,
+    )
 }
 
-/// Whether two alignments move no point of the cloud far apart.
-fn is_near(
-    first: &Similarity<Target, Source>,
-    second: &Similarity<Target, Source>,
-    radius: f64,
-) -> bool {
-    let between = first.inverse() * *second;
-    between.rotation().angle() < 0.2
-        && between.translation().norm() < 0.2 * radius
-        && between.scale().ln().abs() < 0.2
+/// The alignment that points which look the same agree on, unless chance or another place would
+/// do as well.
+fn find_by_appearance(
+    pairs: &[Correspondence],
+    inlier_distance: f64,
+    settings: &RegisterSettings,
+) -> Result<Found, Refusal> {
+    let consensus_settings = ConsensusSettings {
+        with_scale: settings.with_scale,
+        gravity: settings.gravity,
+        inlier_distance,
+        ..ConsensusSettings::default()
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
+    let hypotheses = find_consensus(pairs, &consensus_settings, &mut rng);
+    let best = hypotheses.first().ok_or(Refusal::SearchFoundNothing)?;
+    let start = best.target_from_source;
+    let agreement = Agreement::new(pairs, &start, inlier_distance);
+    let evidence = Evidence {
+        clue: Clue::Appearance,
+        offered_count: pairs.len(),
+        consistent_count: best.inlier_count,
+        runner_up_count: hypotheses.get(1).map_or(0, |second| second.inlier_count),
+        false_alarms_log10: significance_of(pairs, best, inlier_distance),
+    };
+    if evidence.may_be_chance() {
+        return Err(Refusal::SearchFoundNothing);
+    }
+    if evidence.is_ambiguous() {
+        return Err(evidence.ambiguous());
+    }
+    Ok(Found {
+        start,
+        evidence,
+        agreement: Some(agreement),
+    })
+}
+
+/// See [`Evidence::false_alarms_log10`].
+fn significance_of(pairs: &[Correspondence], hypothesis: &Hypothesis, inlier_distance: f64) -> f64 {
+    let chance = agreement::chance(pairs, &hypothesis.target_from_source, inlier_distance);
+    false_alarms_log10(pairs.len(), hypothesis.inlier_count, chance)
+}
+
+fn seen<'a, D>(cloud: &'a ShapedCloud, descriptors: &'a [D]) -> Seen<'a, D> {
+    Seen {
+        points: &cloud.points,
+        descriptors,
+        twin_distance: TWIN_SHARE * middle_radius(&cloud.points),
+    }
+}
+
+/// The median distance from the centre, which few far points do not move.
+fn middle_radius(points: &[Vector3<f64>]) -> f64 {
+    let mut distances: Vec<f64> = points.iter().map(Vector3::norm).collect();
+    let middle = distances.len() / 2;
+    if distances.is_empty() {
+        return 0.0;
+    }
+    *distances.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -127,7 +127,7 @@ fn the_picture_is_checked_before_the_work() {
 #[test]
 fn summary_has_the_names_of_the_contract() {
     let outcome = Outcome::Refused {
-        reason: registration::Refusal::Ambiguous,
+        reason: registration::Refusal::SearchFoundNothing,
         quality: None,
     };
     let json = serde_json::to_value(summarise(&outcome, 1.0, 2.0)).unwrap();
