@@ -5,6 +5,7 @@ mod covariance;
 mod destination;
 mod error;
 mod imu;
+mod npz;
 mod pcd;
 mod ply;
 mod point_cloud;

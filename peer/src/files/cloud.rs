@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::error::{FileError, Refused};
 use super::point_cloud::PointCloud;
-use super::{pcd, ply, xyz};
+use super::{npz, pcd, ply, xyz};
 
 /// The formats by the extension of a file's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,6 +13,8 @@ enum CloudFormat {
     Ply,
     Pcd,
     Text,
+    /// Only read.
+    Npz,
 }
 
 impl CloudFormat {
@@ -22,20 +24,32 @@ impl CloudFormat {
             "ply" => Ok(Self::Ply),
             "pcd" => Ok(Self::Pcd),
             "xyz" | "csv" | "txt" => Ok(Self::Text),
-            _ => Err(FileError::Content {
-                reason: "expected a name that ends with .ply, .pcd, .xyz, .csv or .txt".to_owned(),
-                path: path.to_owned(),
-            }),
+            "npz" => Ok(Self::Npz),
+            _ => Err(unknown_name(path, ".ply, .pcd, .xyz, .csv, .txt or .npz")),
+        }
+    }
+
+    fn to_write(path: &Path) -> Result<Self, FileError> {
+        match Self::of(path) {
+            Ok(Self::Npz) | Err(_) => Err(unknown_name(path, ".ply, .pcd, .xyz, .csv or .txt")),
+            known => known,
         }
     }
 }
 
-/// Whether the extension names a format that clouds are read and written in.
-pub fn check_cloud_name(path: &Path) -> Result<(), FileError> {
-    CloudFormat::of(path).map(drop)
+fn unknown_name(path: &Path, known: &str) -> FileError {
+    FileError::Content {
+        reason: format!("expected a name that ends with {known}"),
+        path: path.to_owned(),
+    }
 }
 
-/// Reads PLY, PCD, or text with one point a line. A file without a point is refused.
+/// Whether the extension names a format that clouds are written in.
+pub fn check_cloud_name(path: &Path) -> Result<(), FileError> {
+    CloudFormat::to_write(path).map(drop)
+}
+
+/// Reads PLY, PCD, NPZ, or text with one point a line. A file without a point is refused.
 pub fn read_cloud(path: &Path) -> Result<PointCloud, FileError> {
     let format = CloudFormat::of(path)?;
     let bytes = fs::read(path).map_err(|error| FileError::Read {
@@ -46,6 +60,7 @@ pub fn read_cloud(path: &Path) -> Result<PointCloud, FileError> {
         CloudFormat::Ply => ply::parse(&bytes),
         CloudFormat::Pcd => pcd::parse(&bytes),
         CloudFormat::Text => xyz::parse(&bytes),
+        CloudFormat::Npz => npz::parse(&bytes),
     }
     .and_then(|cloud| {
         if cloud.points.is_empty() {
@@ -59,10 +74,10 @@ pub fn read_cloud(path: &Path) -> Result<PointCloud, FileError> {
 
 /// Writes binary PLY, binary PCD, or text.
 pub fn write_cloud(path: &Path, cloud: &PointCloud) -> Result<(), FileError> {
-    let bytes = match CloudFormat::of(path)? {
+    let bytes = match CloudFormat::to_write(path)? {
         CloudFormat::Ply => ply::format(cloud, ply::Encoding::BinaryLittleEndian),
         CloudFormat::Pcd => pcd::format(cloud),
-        CloudFormat::Text => xyz::format(cloud),
+        CloudFormat::Text | CloudFormat::Npz => xyz::format(cloud),
     };
     fs::write(path, bytes).map_err(|error| FileError::Write {
         error,

@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use registration::Descriptors;
 
 use super::error::Refused;
-use super::point_cloud::PointCloud;
+use super::point_cloud::{PointCloud, typed_descriptors};
 use body::{Body, Row};
 use header::{Element, Header, PropertyKind};
 
@@ -161,26 +161,6 @@ fn byte(value: f64) -> Result<u8, String> {
     } else {
         Err(format!("{value} in a descriptor, expected 0 to 255"))
     }
-}
-
-fn typed_descriptors(descriptors: Vec<Vec<u8>>) -> Result<Descriptors, Refused> {
-    let Some(first) = descriptors.first() else {
-        return Ok(Descriptors::None);
-    };
-    let expected = first.len();
-    match expected {
-        32 => fixed(&descriptors, |bytes| {
-            bytes.try_into().map(features::Descriptor::from_bytes).ok()
-        })
-        .map(Descriptors::Binary),
-        128 => fixed(&descriptors, |bytes| bytes.try_into().ok()).map(Descriptors::Histogram),
-        _ => None,
-    }
-    .ok_or_else(|| Refused::whole("descriptors must all have 32 or all have 128 bytes"))
-}
-
-fn fixed<T>(descriptors: &[Vec<u8>], read: impl Fn(&[u8]) -> Option<T>) -> Option<Vec<T>> {
-    descriptors.iter().map(|bytes| read(bytes)).collect()
 }
 
 /// The whole file as bytes; coordinates as 32 bit floats.

@@ -3,6 +3,8 @@
 use nalgebra::Vector3;
 use registration::{Cloud, Descriptors};
 
+use super::error::Refused;
+
 /// Points with what a file says about each of them.
 #[derive(Clone, Debug, Default)]
 pub struct PointCloud {
@@ -27,4 +29,25 @@ impl PointCloud {
         Cloud::new(self.points, self.descriptors)
             .expect("the readers give one descriptor for each point")
     }
+}
+
+/// Descriptors by their size: 32 bytes are binary, 128 a histogram.
+pub(super) fn typed_descriptors(descriptors: Vec<Vec<u8>>) -> Result<Descriptors, Refused> {
+    let Some(first) = descriptors.first() else {
+        return Ok(Descriptors::None);
+    };
+    let expected = first.len();
+    match expected {
+        32 => fixed(&descriptors, |bytes| {
+            bytes.try_into().map(features::Descriptor::from_bytes).ok()
+        })
+        .map(Descriptors::Binary),
+        128 => fixed(&descriptors, |bytes| bytes.try_into().ok()).map(Descriptors::Histogram),
+        _ => None,
+    }
+    .ok_or_else(|| Refused::whole("descriptors must all have 32 or all have 128 bytes"))
+}
+
+fn fixed<T>(descriptors: &[Vec<u8>], read: impl Fn(&[u8]) -> Option<T>) -> Option<Vec<T>> {
+    descriptors.iter().map(|bytes| read(bytes)).collect()
 }

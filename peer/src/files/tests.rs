@@ -127,6 +127,31 @@ fn ply_survives_every_encoding() {
 }
 
 #[test]
+fn ply_keeps_histograms() {
+    let histograms: Vec<[u8; 128]> = (0..3).map(|idx| [idx * 7; 128]).collect();
+    let cloud = PointCloud {
+        descriptors: Descriptors::Histogram(histograms.clone()),
+        ..small_cloud()
+    };
+    let bytes = ply::format(&cloud, ply::Encoding::BinaryLittleEndian);
+    let Descriptors::Histogram(read) = ply::parse(&bytes).unwrap().descriptors else {
+        panic!("128 bytes are a histogram");
+    };
+    assert_eq!(read, histograms);
+}
+
+#[test]
+fn archives_are_read_and_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.npz");
+    let error = write_cloud(&path, &small_cloud()).unwrap_err().to_string();
+    assert!(error.contains(".csv or .txt: "), "{error}");
+    std::fs::write(&path, "nothing").unwrap();
+    let error = read_cloud(&path).unwrap_err().to_string();
+    assert!(error.starts_with("not an NPZ file"), "{error}");
+}
+
+#[test]
 fn ply_skips_what_it_does_not_know() {
     let text = "ply\r\nformat ascii 1.0\r\ncomment hello\r\nobj_info x\r\n\
                 element camera 1\r\nproperty list uchar int views\r\n\
@@ -203,7 +228,7 @@ fn text_clouds_that_cannot_be_read_name_file_and_line() {
     );
     check("a.txt", "1 2\n", "2 columns, expected 3 at FILE:1");
     check("a.xyz", "# nothing\n", "holds no points: FILE");
-    check("a.las", "", ".xyz, .csv or .txt: FILE");
+    check("a.las", "", ".xyz, .csv, .txt or .npz: FILE");
     let missing = read_cloud(Path::new("/no/such/file.ply")).unwrap_err();
     assert!(missing.to_string().starts_with("cannot read"), "{missing}");
 }
@@ -290,6 +315,6 @@ proptest::proptest! {
             b"FIELDS x\nSIZE ",
         ];
         let file = [headers[header], &bytes].concat();
-        let _ = (ply::parse(&file), pcd::parse(&file), xyz::parse(&file));
+        let _ = (ply::parse(&file), pcd::parse(&file), xyz::parse(&file), npz::parse(&file));
     }
 }
