@@ -8,9 +8,9 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use registration::kd_tree::KdTree;
 use registration::{
-    AnchorIdx, ChunkIdx, Cloud, KeyframeIdx, KeyframeObservation, Landmark, Localizer,
-    LocalizerSettings, Metric, ObservedFeature, ObservedPoint, RegisterSettings, ShapedCloud,
-    align,
+    AnchorIdx, ChunkIdx, Cloud, Descriptors, KeyframeIdx, KeyframeObservation, Landmark, Localizer,
+    LocalizerSettings, Metric, ObservedFeature, ObservedPoint, Outcome, RegisterSettings,
+    ShapedCloud, Start, align,
 };
 use std::hint::black_box;
 
@@ -71,6 +71,73 @@ fn alignment(criterion: &mut Criterion) {
             ..RegisterSettings::default()
         };
         criterion.bench_function(&format!("align/{name}/20k"), |bencher| {
+            bencher.iter(|| black_box(align(&source, &target, &settings)));
+        });
+    }
+}
+
+/// A keyframe's points by their descriptors in a map of another scale, from nothing: a third of
+/// them is not in the map.
+fn search(criterion: &mut Criterion) {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let points = room(20_000, &mut rng);
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(1.2, -2.0, 0.5));
+    let random_binary = |rng: &mut ChaCha8Rng| Descriptor(std::array::from_fn(|_| rng.random()));
+    let histogram = |rng: &mut ChaCha8Rng| -> [u8; 128] {
+        std::array::from_fn(|_| (rng.random::<f64>().powi(3) * 160.0) as u8)
+    };
+    let binary: Vec<Descriptor> = points.iter().map(|_| random_binary(&mut rng)).collect();
+    let histograms: Vec<[u8; 128]> = points.iter().map(|_| histogram(&mut rng)).collect();
+    let (mut seen, mut seen_binary, mut seen_histograms) = (Vec::new(), Vec::new(), Vec::new());
+    let nearby = (0..points.len()).filter(|idx| points[*idx].x > 1.0);
+    for (count, idx) in nearby.take(1500).enumerate() {
+        seen.push(turn * (points[idx] + unit(&mut rng) * 0.02) * 1.7);
+        let in_map = count % 3 != 0;
+        let mut own = if in_map {
+            binary[idx]
+        } else {
+            random_binary(&mut rng)
+        };
+        for _ in 0..25 {
+            own.0[rng.random_range(0..4)] ^= 1 << rng.random_range(0..64);
+        }
+        seen_binary.push(own);
+        let mut own = if in_map {
+            histograms[idx]
+        } else {
+            histogram(&mut rng)
+        };
+        for value in &mut own {
+            *value = value.saturating_add_signed(rng.random_range(-20..=20));
+        }
+        seen_histograms.push(own);
+    }
+    let pairs = [
+        (
+            "binary",
+            Descriptors::Binary(seen_binary),
+            Descriptors::Binary(binary),
+        ),
+        (
+            "histogram",
+            Descriptors::Histogram(seen_histograms),
+            Descriptors::Histogram(histograms),
+        ),
+    ];
+    let settings = RegisterSettings {
+        with_scale: true,
+        start: Start::Search,
+        ..RegisterSettings::default()
+    };
+    for (name, of_source, of_target) in pairs {
+        let cloud = |points: &[Vector3<f64>], descriptors| {
+            let cloud = Cloud::new(points.to_vec(), descriptors).expect("one for each point");
+            ShapedCloud::new(&cloud, None)
+        };
+        let (source, target) = (cloud(&seen, of_source), cloud(&points, of_target));
+        let found = align(&source, &target, &settings);
+        assert!(matches!(found, Outcome::Accepted(_)), "{found:?}");
+        criterion.bench_function(&format!("search/{name}/1500_in_20k"), |bencher| {
             bencher.iter(|| black_box(align(&source, &target, &settings)));
         });
     }
@@ -155,5 +222,5 @@ fn localization(criterion: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, nearest, alignment, localization);
+criterion_group!(benches, nearest, alignment, search, localization);
 criterion_main!(benches);

@@ -138,6 +138,14 @@ pub enum Refusal {
     ScaleOutOfBounds {
         scale: f64,
     },
+    /// What looks the same lies in one spot, and may stand elsewhere too.
+    NarrowEvidence {
+        spread: f64,
+    },
+    /// What was found by shape alone must fit better than what is known from elsewhere.
+    ShapeAlone {
+        residual_contrast: f64,
+    },
 }
 
 impl std::fmt::Display for Refusal {
@@ -181,6 +189,16 @@ impl std::fmt::Display for Refusal {
                     "the shapes differ: too few surfaces to compare, and the points do not coincide"
                 ),
             },
+            Self::NarrowEvidence { spread } => write!(
+                f,
+                "what looks the same covers {:.0} % of the source's width, and may recur",
+                spread * 100.0
+            ),
+            Self::ShapeAlone { residual_contrast } => write!(
+                f,
+                "found by shape alone, and shifted clouds fit nearly as well: the residual is \
+                 {residual_contrast:.2} of theirs"
+            ),
             Self::ScaleOutOfBounds { scale } => write!(f, "scale {scale:.3} is out of bounds"),
         }
     }

@@ -22,18 +22,47 @@ pub struct Evidence {
     pub runner_up_count: usize,
     /// How many alignments as good are expected from shuffled correspondences, as a power of ten.
     pub false_alarms_log10: f64,
+    /// How widely the consistent points lie, relative to all points of the source (root mean
+    /// squares).
+    pub spread: f64,
 }
 
+/// Points that look the same must lie at least this widely: posters and chairs recur, and say
+/// nothing of where the rest is.
+const SPREAD_MIN: f64 = 0.15;
 /// A runner-up with this share of the best one's correspondences makes a search ambiguous: things
 /// that recur share their correspondences about evenly, and chance gives a runner-up of few.
 const RUNNER_UP_SHARE_MAX: f64 = 0.5;
 /// One alignment in ten thousand searches may look this good by chance.
-const FALSE_ALARMS_LOG10_MAX: f64 = -4.0;
+const APPEARANCE_FALSE_ALARMS_LOG10_MAX: f64 = -4.0;
+/// Neighbours share their shape, so that three correspondences are worth about one: two maps of
+/// different things came to −12.
+const SHAPE_FALSE_ALARMS_LOG10_MAX: f64 = -15.0;
 
 impl Evidence {
     /// Whether another alignment explains the correspondences nearly as well.
     pub fn is_ambiguous(&self) -> bool {
         self.runner_up_count as f64 > RUNNER_UP_SHARE_MAX * self.consistent_count as f64
+    }
+
+    /// Whether all that agrees may be one thing that stands elsewhere too.
+    pub fn is_narrow(&self) -> bool {
+        self.spread < SPREAD_MIN
+    }
+
+    /// What speaks against the alignment as it was found.
+    pub(crate) fn judge(&self) -> Result<(), Refusal> {
+        if self.may_be_chance() {
+            Err(Refusal::SearchFoundNothing)
+        } else if self.is_ambiguous() {
+            Err(self.ambiguous())
+        } else if self.is_narrow() {
+            Err(Refusal::NarrowEvidence {
+                spread: self.spread,
+            })
+        } else {
+            Ok(())
+        }
     }
 
     pub(crate) fn ambiguous(&self) -> Refusal {
@@ -45,7 +74,11 @@ impl Evidence {
 
     /// Whether shuffled correspondences might agree as well.
     pub fn may_be_chance(&self) -> bool {
-        self.false_alarms_log10 > FALSE_ALARMS_LOG10_MAX
+        let limit = match self.clue {
+            Clue::Appearance => APPEARANCE_FALSE_ALARMS_LOG10_MAX,
+            Clue::Shape => SHAPE_FALSE_ALARMS_LOG10_MAX,
+        };
+        self.false_alarms_log10 > limit
     }
 }
 
@@ -98,8 +131,14 @@ mod tests {
             consistent_count: 40,
             runner_up_count,
             false_alarms_log10: -20.0,
+            spread: 0.5,
         };
-        assert!(!evidence(20).is_ambiguous());
-        assert!(evidence(21).is_ambiguous());
+        assert_eq!(evidence(20).judge(), Ok(()));
+        assert_eq!(evidence(21).judge(), Err(evidence(21).ambiguous()));
+        let narrow = Evidence {
+            spread: 0.1,
+            ..evidence(0)
+        };
+        assert_eq!(narrow.judge(), Err(Refusal::NarrowEvidence { spread: 0.1 }));
     }
 }

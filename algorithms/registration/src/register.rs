@@ -4,8 +4,11 @@ use geometry::{Similarity, Transform};
 use nalgebra::UnitQuaternion;
 
 use crate::acceptance::{judge, measure};
-use crate::alignment::{Alignment, Outcome, Refusal, RegisterSettings, Source, Start, Target};
+use crate::alignment::{
+    Alignment, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target,
+};
 use crate::cloud::{Cloud, ShapedCloud};
+use crate::evidence::Clue;
 use crate::icp::{Icp, IcpSettings, iterate};
 use crate::search::{self, Found};
 
@@ -97,7 +100,7 @@ fn verdict(
 ) -> Outcome {
     let mut quality = measure(source, target, icp, settings.metric, settings.with_scale);
     quality.evidence = found.map(|found| found.evidence);
-    let verdict = judge(source, target, icp, &quality);
+    let verdict = judge(source, target, icp, &quality).and_then(|()| judge_evidence(&quality));
     let by_correspondences = found
         .filter(|found| found.start == icp.target_from_source)
         .and_then(|found| found.agreement.as_ref());
@@ -126,6 +129,24 @@ fn verdict(
             quality: Some(quality),
         },
     }
+}
+
+/// Found by shape alone, an alignment must fit clearly better than when shifted, relative to which
+/// residual 1 is: right ones of rooms and of the castle, whole or cut, came to 0.49 at most, and
+/// wrong ones that all else accepts to 0.6 and more.
+const SHAPE_CONTRAST_MAX: f64 = 0.55;
+
+/// Asks more of an alignment for which only shapes speak.
+fn judge_evidence(quality: &Quality) -> Result<(), Refusal> {
+    let by_shape = quality
+        .evidence
+        .is_some_and(|evidence| evidence.clue == Clue::Shape);
+    if by_shape && quality.residual_contrast > SHAPE_CONTRAST_MAX {
+        return Err(Refusal::ShapeAlone {
+            residual_contrast: quality.residual_contrast,
+        });
+    }
+    Ok(())
 }
 
 /// An alignment of the clouds as one of the centred clouds.

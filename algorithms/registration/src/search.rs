@@ -67,17 +67,15 @@ pub(crate) fn find(
             in_source: source.points[source_idx],
         })
         .collect();
-    find_by_appearance(
-        &pairs,
-        INLIER_SHARE * middle_radius(&target.points),
-        settings,
-    )
+    let inlier_distance = INLIER_SHARE * middle_radius(&target.points);
+    find_by_appearance(&pairs, source.radius, inlier_distance, settings)
 }
 
 /// The alignment that points which look the same agree on, unless chance or another place would
 /// do as well.
 fn find_by_appearance(
     pairs: &[Correspondence],
+    source_radius: f64,
     inlier_distance: f64,
     settings: &RegisterSettings,
 ) -> Result<Found, Refusal> {
@@ -98,13 +96,9 @@ fn find_by_appearance(
         consistent_count: best.inlier_count,
         runner_up_count: hypotheses.get(1).map_or(0, |second| second.inlier_count),
         false_alarms_log10: significance_of(pairs, best, inlier_distance),
+        spread: agreement.spread() / source_radius,
     };
-    if evidence.may_be_chance() {
-        return Err(Refusal::SearchFoundNothing);
-    }
-    if evidence.is_ambiguous() {
-        return Err(evidence.ambiguous());
-    }
+    evidence.judge()?;
     Ok(Found {
         start,
         evidence,
@@ -135,3 +129,6 @@ fn middle_radius(points: &[Vector3<f64>]) -> f64 {
     }
     *distances.select_nth_unstable_by(middle, f64::total_cmp).1
 }
+
+#[cfg(test)]
+mod tests;

@@ -8,8 +8,8 @@ use clap::ValueEnum;
 use geometry::{Matrix7, Similarity};
 use nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
 use registration::{
-    Alignment, Cloud, Metric, Outcome, Quality, RegisterSettings, ShapedCloud, Source, Start,
-    Target,
+    Alignment, Cloud, Gravity, Metric, Outcome, Quality, RegisterSettings, ShapedCloud, Source,
+    Start, Target,
 };
 use serde::Serialize;
 
@@ -19,7 +19,7 @@ use crate::plot::{Color, Layer, Mark, Picture, Plot, check_picture_name};
 
 #[derive(clap::Args)]
 pub struct RegisterArguments {
-    /// The cloud that is moved: PLY, PCD, XYZ or CSV.
+    /// The cloud that is moved: PLY, PCD, NPZ, XYZ or CSV; PLY and NPZ may carry descriptors.
     pub source: PathBuf,
     /// The cloud that it is moved onto.
     pub target: PathBuf,
@@ -31,6 +31,9 @@ pub struct RegisterArguments {
     /// Where to start: `identity`, `search`, or a file with a 4×4 matrix.
     #[arg(long, default_value = "identity", value_name = "identity|FILE|search")]
     pub init: String,
+    /// The z axes of both clouds point up: a search only turns about them.
+    #[arg(long)]
+    pub z_up: bool,
     /// Thin both clouds to one point per cube of this edge.
     #[arg(long, value_name = "M", value_parser = parse_positive)]
     pub voxel: Option<f64>,
@@ -70,6 +73,11 @@ struct RegisterSummary {
     rmse_m: Option<f64>,
     overlap: Option<f64>,
     iterations: Option<usize>,
+    /// Of a search: points that may be the same, those of them that the alignment brings together,
+    /// and those that the best other alignment would.
+    correspondences: Option<usize>,
+    consistent: Option<usize>,
+    runner_up: Option<usize>,
     /// Points of both clouds that are not finite.
     dropped_points: usize,
     ms_preprocess: f64,
@@ -89,6 +97,10 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
         start: read_start(&arguments.init)?,
         voxel_m: arguments.voxel,
         max_distance_m: arguments.max_distance,
+        gravity: arguments.z_up.then_some(Gravity {
+            up_in_target: Vector3::z_axis(),
+            up_in_source: Vector3::z_axis(),
+        }),
         ..RegisterSettings::default()
     };
     if let Some(path) = &arguments.plot {
@@ -233,6 +245,7 @@ fn summarise(outcome: &Outcome, ms_preprocess: f64, ms_align: f64) -> RegisterSu
         ),
         Outcome::Refused { reason, quality } => (reason.to_string(), quality.as_ref(), None),
     };
+    let evidence = quality.and_then(|quality| quality.evidence);
     let known = |value: f64| Some(value).filter(|value| value.is_finite());
     RegisterSummary {
         accepted: alignment.is_some(),
@@ -242,6 +255,9 @@ fn summarise(outcome: &Outcome, ms_preprocess: f64, ms_align: f64) -> RegisterSu
         rmse_m: quality.and_then(|quality| known(quality.rmse_m)),
         overlap: quality.and_then(|quality| known(quality.overlap_source)),
         iterations: quality.map(|quality| quality.iteration_count),
+        correspondences: evidence.map(|evidence| evidence.offered_count),
+        consistent: evidence.map(|evidence| evidence.consistent_count),
+        runner_up: evidence.map(|evidence| evidence.runner_up_count),
         dropped_points: 0,
         ms_preprocess,
         ms_align,
@@ -280,6 +296,15 @@ fn print_summary(summary: &RegisterSummary) {
     for row in summary.target_from_source.iter().flatten() {
         let numbers: Vec<String> = row.iter().map(|value| format!("{value:12.6}")).collect();
         output::print_line(&numbers.join(" "));
+    }
+    if let (Some(offered), Some(consistent), Some(runner_up)) = (
+        summary.correspondences,
+        summary.consistent,
+        summary.runner_up,
+    ) {
+        output::print_line(&format!(
+            "{consistent} of {offered} correspondences agree, {runner_up} with the runner-up"
+        ));
     }
     let metres = |value: Option<f64>| value.map_or("unknown".to_owned(), |m| format!("{m:.4} m"));
     let share = |value: Option<f64>| value.map_or("unknown".to_owned(), |o| format!("{o:.2}"));

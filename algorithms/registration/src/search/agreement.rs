@@ -1,7 +1,7 @@
 //! Correspondences that an alignment brings together, and what they say of other alignments.
 
 use geometry::{Matrix7, Similarity, so3};
-use nalgebra::{Matrix3, Matrix6, SMatrix};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
 use super::Correspondence;
 use crate::alignment::{Source, Target};
@@ -35,6 +35,22 @@ impl Agreement {
             variance: cost.sum::<f64>() / freedom,
             pairs,
         }
+    }
+
+    /// Root mean square distance of the source points from their mean.
+    pub fn spread(&self) -> f64 {
+        let count = self.pairs.len().max(1) as f64;
+        let mean = self
+            .pairs
+            .iter()
+            .map(|pair| pair.in_source)
+            .sum::<Vector3<f64>>()
+            / count;
+        let squares = self
+            .pairs
+            .iter()
+            .map(|pair| (pair.in_source - mean).norm_squared());
+        (squares.sum::<f64>() / count).sqrt()
     }
 
     /// Whether `other` fits worse than the noise lets it: by an error of the seven unknowns that

@@ -5,7 +5,7 @@ use features::matching::DescriptorColumns;
 use nalgebra::Vector3;
 
 /// What a point looks like, so that two clouds can be compared.
-pub trait Appearance: Sized {
+pub trait Appearance: Copy {
     /// The nearest must be nearer than this share of the second nearest that is another thing.
     const RATIO_MAX: f64;
 
@@ -94,6 +94,8 @@ impl<D> Copy for Seen<'_, D> {}
 
 /// Sketches that are compared in full.
 const CANDIDATE_COUNT: usize = 8;
+/// Sketches that are looked at in one go, 32 KB: they stay in the nearest cache.
+const BLOCK_SIZE: usize = 1024;
 
 /// Indices into source and target of what is each other's nearest, and clearly nearer than the
 /// next other thing from both sides.
@@ -105,83 +107,109 @@ pub(crate) fn match_mutual<D: Appearance>(
     target: Seen<'_, D>,
 ) -> Vec<(usize, usize)> {
     let [of_source, of_target] = D::sketches(source.descriptors, target.descriptors);
-    let (source_columns, target_columns) = (
-        DescriptorColumns::new(&of_source),
-        DescriptorColumns::new(&of_target),
-    );
-    let mut look = Look::default();
-    let mut matches = Vec::new();
-    for (source_idx, own) in source.descriptors.iter().enumerate() {
-        let found = look.nearest(own, &of_source[source_idx], &target_columns, target);
-        let Some(target_idx) = found else {
-            continue;
-        };
-        let there = &target.descriptors[target_idx];
-        let back = look.nearest(there, &of_target[target_idx], &source_columns, source);
-        if back == Some(source_idx) {
-            matches.push((source_idx, target_idx));
+    let there = nearest_in(source.descriptors, &of_source, &of_target, target);
+    // Only what was found is looked at from the other side.
+    let found: Vec<(usize, usize)> = there
+        .iter()
+        .enumerate()
+        .filter_map(|(source_idx, target_idx)| Some((source_idx, (*target_idx)?)))
+        .collect();
+    let (queries, sketches): (Vec<D>, Vec<Descriptor>) = found
+        .iter()
+        .map(|(_, target_idx)| (target.descriptors[*target_idx], of_target[*target_idx]))
+        .unzip();
+    let back = nearest_in(&queries, &sketches, &of_source, source);
+    let pairs = found.into_iter().zip(back);
+    pairs
+        .filter(|((source_idx, _), back)| *back == Some(*source_idx))
+        .map(|(pair, _)| pair)
+        .collect()
+}
+
+/// For each query the nearest, if it is clearly nearer than the next other thing.
+fn nearest_in<D: Appearance>(
+    queries: &[D],
+    query_sketches: &[Descriptor],
+    sketches: &[Descriptor],
+    among: Seen<'_, D>,
+) -> Vec<Option<usize>> {
+    let mut candidates = vec![Candidates::default(); queries.len()];
+    let mut distances = Vec::with_capacity(BLOCK_SIZE);
+    for (block_idx, block) in sketches.chunks(BLOCK_SIZE).enumerate() {
+        let columns = DescriptorColumns::new(block);
+        for (sketch, candidates) in query_sketches.iter().zip(&mut candidates) {
+            columns.distances(sketch, &mut distances);
+            candidates.offer_all(&distances, (block_idx * BLOCK_SIZE) as u32);
         }
     }
-    matches
+    let pairs = queries.iter().zip(&candidates);
+    pairs
+        .map(|(query, candidates)| clearly_nearest(query, candidates, among))
+        .collect()
 }
 
-/// Room for one look around, used again and again.
-#[derive(Default)]
-struct Look {
-    distances: Vec<u16>,
-    candidates: Vec<(u16, u32)>,
+fn clearly_nearest<D: Appearance>(
+    query: &D,
+    candidates: &Candidates,
+    among: Seen<'_, D>,
+) -> Option<usize> {
+    let full = candidates.known().map(|idx| {
+        let idx = idx as usize;
+        (query.distance(&among.descriptors[idx]), idx)
+    });
+    let (distance, best) = full.clone().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let is_other = |idx: usize| {
+        let apart = among.points[idx] - among.points[best];
+        idx != best && apart.norm() > among.twin_distance
+    };
+    let others = full.filter(|(_, idx)| is_other(*idx));
+    let second = others.map(|other| other.0).fold(f64::INFINITY, f64::min);
+    (distance < D::RATIO_MAX * second).then_some(best)
 }
 
-impl Look {
-    /// The nearest, if it is clearly nearer than the next other thing.
-    fn nearest<D: Appearance>(
-        &mut self,
-        query: &D,
-        sketch: &Descriptor,
-        columns: &DescriptorColumns,
-        among: Seen<'_, D>,
-    ) -> Option<usize> {
-        columns.distances(sketch, &mut self.distances);
-        self.choose_candidates();
-        let full = self.candidates.iter().map(|(_, idx)| {
-            let idx = *idx as usize;
-            (query.distance(&among.descriptors[idx]), idx)
-        });
-        let (distance, best) = full.clone().min_by(|a, b| a.0.total_cmp(&b.0))?;
-        let is_other = |idx: usize| {
-            let apart = among.points[idx] - among.points[best];
-            idx != best && apart.norm() > among.twin_distance
-        };
-        let others = full.filter(|(_, idx)| is_other(*idx));
-        let second = others.map(|other| other.0).fold(f64::INFINITY, f64::min);
-        (distance < D::RATIO_MAX * second).then_some(best)
+/// The nearest sketches so far with their distances, nearest first, the lower index first among
+/// equals.
+#[derive(Clone, Copy)]
+struct Candidates([(u16, u32); CANDIDATE_COUNT]);
+
+impl Default for Candidates {
+    fn default() -> Self {
+        Self([(u16::MAX, u32::MAX); CANDIDATE_COUNT])
     }
+}
 
-    /// The nearest sketches, nearest first, the lower index first among equals.
-    fn choose_candidates(&mut self) {
+impl Candidates {
+    /// - `first_idx`: of what the first distance belongs to.
+    fn offer_all(&mut self, distances: &[u16], first_idx: u32) {
         const LANES: usize = 32;
-        self.candidates.clear();
-        let mut farthest = u16::MAX;
-        for (block_idx, block) in self.distances.chunks(LANES).enumerate() {
-            // Most blocks have nothing near: one pass without branches says so.
-            if block.iter().fold(u16::MAX, |low, one| low.min(*one)) >= farthest {
+        for (chunk_idx, chunk) in distances.chunks(LANES).enumerate() {
+            // Most have nothing near: one pass without branches says so.
+            let nearest = chunk.iter().fold(u16::MAX, |low, one| low.min(*one));
+            if nearest >= self.0[CANDIDATE_COUNT - 1].0 {
                 continue;
             }
-            for (lane, distance) in block.iter().enumerate() {
-                if *distance >= farthest {
-                    continue;
-                }
-                let idx = (block_idx * LANES + lane) as u32;
-                if self.candidates.len() == CANDIDATE_COUNT {
-                    self.candidates.pop();
-                }
-                let place = self.candidates.partition_point(|one| one.0 <= *distance);
-                self.candidates.insert(place, (*distance, idx));
-                if self.candidates.len() == CANDIDATE_COUNT {
-                    farthest = self.candidates[CANDIDATE_COUNT - 1].0;
-                }
+            let chunk_first_idx = first_idx + (chunk_idx * LANES) as u32;
+            for (idx, distance) in (chunk_first_idx..).zip(chunk) {
+                self.offer(*distance, idx);
             }
         }
+    }
+
+    fn offer(&mut self, distance: u16, idx: u32) {
+        let mut place = CANDIDATE_COUNT - 1;
+        if distance >= self.0[place].0 {
+            return;
+        }
+        while place > 0 && self.0[place - 1].0 > distance {
+            self.0[place] = self.0[place - 1];
+            place -= 1;
+        }
+        self.0[place] = (distance, idx);
+    }
+
+    fn known(&self) -> impl Iterator<Item = u32> + Clone {
+        let known = self.0.iter().filter(|(_, idx)| *idx != u32::MAX);
+        known.map(|(_, idx)| *idx)
     }
 }
 

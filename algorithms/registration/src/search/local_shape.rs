@@ -5,11 +5,12 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::consensus::Correspondence;
 use super::mutual::mutual;
 use crate::cloud::{ShapedCloud, to_single};
+use crate::kd_tree::{KdTree, Neighbour};
 
 const BIN_COUNT: usize = 11;
 const ANGLE_COUNT: usize = 3;
@@ -19,98 +20,118 @@ const HISTOGRAM_SIZE: usize = BIN_COUNT * ANGLE_COUNT * SHELL_COUNT;
 /// Points that are described, about.
 const KEYPOINT_COUNT: f64 = 1500.0;
 /// The neighbourhood's radius relative to the cloud's.
-const RADIUS_SHARES: [f64; 2] = [0.15, 0.3];
+const RADIUS_SHARES: [f64; 3] = [0.15, 0.3, 0.5];
+/// Clouds are thinned to this share of a neighbourhood's radius, so that density matters little.
+const VOXEL_SHARE: f64 = 0.1;
+/// A normal is that of the points within this share of a neighbourhood's radius: of what is
+/// described, not of how dense the points are.
+const NORMAL_SHARE: f64 = 0.5;
+/// Fewer points have no normal.
+const NORMAL_POINT_COUNT_MIN: usize = 6;
 /// Neighbours that are looked at, at most; a denser neighbourhood is thinned evenly.
 const NEIGHBOUR_COUNT_MAX: usize = 300;
 
 type Histogram = [f32; HISTOGRAM_SIZE];
 
-/// Mutually nearest histograms, over two sizes of neighbourhood.
+/// Histograms that are among each other's nearest, over three sizes of neighbourhood.
 ///
-/// With a free scale the neighbourhood follows each cloud's own radius, which works as long as
-/// both show about the same scene.
+/// - `source_radius`, `target_radius`: the radii of the clouds if they showed the same; the
+///   neighbourhoods follow them.
 pub(crate) fn correspondences(
     source: &ShapedCloud,
     target: &ShapedCloud,
-    with_scale: bool,
+    source_radius: f64,
+    target_radius: f64,
 ) -> Vec<Correspondence> {
-    let source_keypoints = keypoints(source);
-    let target_keypoints = keypoints(target);
     let mut pairs = Vec::new();
     for share in RADIUS_SHARES {
-        let target_radius = share * target.radius;
-        let source_radius = if with_scale {
-            share * source.radius
-        } else {
-            target_radius
-        };
-        let of_source = describe(source, &source_keypoints, source_radius);
-        let of_target = describe(target, &target_keypoints, target_radius);
-        let matches = mutual(&of_source.histograms, &of_target.histograms, 1.0, |a, b| {
+        let of_source = describe(&source.points, share * source_radius);
+        let of_target = describe(&target.points, share * target_radius);
+        let matches = mutual(&of_source.histograms, &of_target.histograms, |a, b| {
             let squares = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b));
-            f64::from(squares.sum::<f32>())
+            squares.sum::<f32>()
         });
-        pairs.extend(
-            matches
-                .into_iter()
-                .map(|(source_idx, target_idx)| Correspondence {
-                    in_target: target.points[of_target.point_idx[target_idx]],
-                    in_source: source.points[of_source.point_idx[source_idx]],
-                }),
-        );
+        let paired = matches
+            .into_iter()
+            .map(|(source_idx, target_idx)| Correspondence {
+                in_target: of_target.points[target_idx],
+                in_source: of_source.points[source_idx],
+            });
+        pairs.extend(paired);
     }
     pairs
 }
 
-/// One point with a normal per cube, the cubes as large as gives the wanted number.
-fn keypoints(cloud: &ShapedCloud) -> Vec<usize> {
-    let mut edge = cloud.radius * 0.04;
-    loop {
-        let mut cubes: BTreeMap<[i64; 3], usize> = BTreeMap::new();
-        for (idx, point) in cloud.points.iter().enumerate() {
-            if cloud.shapes[idx].normal.is_some() {
-                let cell = std::array::from_fn(|axis| (point[axis] / edge).floor() as i64);
-                cubes.entry(cell).or_insert(idx);
-            }
-        }
-        if (cubes.len() as f64) < 1.3 * KEYPOINT_COUNT {
-            return cubes.into_values().collect();
-        }
-        edge *= (cubes.len() as f64 / KEYPOINT_COUNT).sqrt().max(1.1);
-    }
-}
-
 struct Described {
-    point_idx: Vec<usize>,
+    points: Vec<Vector3<f64>>,
     histograms: Vec<Histogram>,
 }
 
-fn describe(cloud: &ShapedCloud, keypoints: &[usize], radius: f64) -> Described {
+fn describe(points: &[Vector3<f64>], radius: f64) -> Described {
+    let points = thinned(points, VOXEL_SHARE * radius);
+    let single: Vec<[f32; 3]> = points.iter().map(to_single).collect();
+    let tree = KdTree::new(&single);
     let mut found = Vec::new();
+    let normals: Vec<Option<Vector3<f64>>> = single
+        .iter()
+        .map(|point| {
+            tree.within(*point, (NORMAL_SHARE * radius) as f32, &mut found);
+            normal(&points, &found)
+        })
+        .collect();
     let mut described = Described {
-        point_idx: Vec::new(),
+        points: Vec::new(),
         histograms: Vec::new(),
     };
-    for idx in keypoints {
-        let point = &cloud.points[*idx];
-        let Some(normal) = cloud.shapes[*idx].normal else {
+    let keypoint_step = (points.len() as f64 / KEYPOINT_COUNT).ceil().max(1.0) as usize;
+    for (idx, point) in points.iter().enumerate().step_by(keypoint_step) {
+        let Some(own_normal) = normals[idx] else {
             continue;
         };
-        cloud
-            .tree
-            .within(to_single(point), radius as f32, &mut found);
+        tree.within(single[idx], radius as f32, &mut found);
         let step = found.len().div_ceil(NEIGHBOUR_COUNT_MAX).max(1);
         let neighbours = found.iter().step_by(step).filter_map(|neighbour| {
             let idx = neighbour.idx as usize;
-            let normal = cloud.shapes[idx].normal?;
-            Some((cloud.points[idx] - point, normal))
+            Some((points[idx] - point, normals[idx]?))
         });
-        if let Some(histogram) = histogram(&normal, neighbours, radius) {
-            described.point_idx.push(*idx);
+        if let Some(histogram) = histogram(&own_normal, neighbours, radius) {
+            described.points.push(*point);
             described.histograms.push(histogram);
         }
     }
     described
+}
+
+/// The mean of the points in each cube of this edge.
+fn thinned(points: &[Vector3<f64>], edge: f64) -> Vec<Vector3<f64>> {
+    let mut cubes: BTreeMap<[i64; 3], (Vector3<f64>, f64)> = BTreeMap::new();
+    for point in points {
+        let cell = std::array::from_fn(|axis| (point[axis] / edge).floor() as i64);
+        let cube = cubes.entry(cell).or_insert((Vector3::zeros(), 0.0));
+        cube.0 += point;
+        cube.1 += 1.0;
+    }
+    cubes
+        .into_values()
+        .map(|(sum, count)| sum / count)
+        .collect()
+}
+
+/// Across the plane that fits best.
+fn normal(points: &[Vector3<f64>], found: &[Neighbour]) -> Option<Vector3<f64>> {
+    if found.len() < NORMAL_POINT_COUNT_MIN {
+        return None;
+    }
+    let near = found.iter().map(|one| points[one.idx as usize]);
+    let mean = near.clone().sum::<Vector3<f64>>() / found.len() as f64;
+    let mut scatter = Matrix3::zeros();
+    for point in near {
+        let offset = point - mean;
+        scatter += offset * offset.transpose();
+    }
+    let eigen = SymmetricEigen::new(scatter);
+    let thin = eigen.eigenvalues.imin();
+    Some(eigen.eigenvectors.column(thin).into_owned())
 }
 
 /// `None` where there is only a plane, or hardly a neighbour: such points look all alike.

@@ -1,11 +1,14 @@
-//! Which items of two lists are each other's nearest.
+//! Which items of two lists are among each other's nearest.
 
-/// Pairs that are each other's nearest, and clearly nearer than the second from both sides.
+/// Each may be the partner of so many others: alike shapes differ by little, and consensus finds
+/// the right one among several.
+const RANK_COUNT: usize = 4;
+
+/// Pairs that are both among each other's nearest few.
 pub(crate) fn mutual<D>(
     source: &[D],
     target: &[D],
-    ratio_max: f64,
-    distance: impl Fn(&D, &D) -> f64,
+    distance: impl Fn(&D, &D) -> f32,
 ) -> Vec<(usize, usize)> {
     let mut of_source = vec![Ranking::default(); source.len()];
     let mut of_target = vec![Ranking::default(); target.len()];
@@ -16,42 +19,42 @@ pub(crate) fn mutual<D>(
             of_target[target_idx].offer(source_idx, distance);
         }
     }
-    let clear = |ranking: &Ranking| ranking.best_distance <= ratio_max * ranking.second_distance;
-    let candidates = of_source.iter().enumerate();
-    candidates
-        .filter(|(_, ranking)| clear(ranking) && ranking.best_idx < target.len())
-        .map(|(source_idx, ranking)| (source_idx, ranking.best_idx))
-        .filter(|(source_idx, target_idx)| {
-            let back = &of_target[*target_idx];
-            back.best_idx == *source_idx && clear(back)
-        })
-        .collect()
+    let mut pairs = Vec::new();
+    for (source_idx, ranking) in of_source.iter().enumerate() {
+        for target_idx in ranking.known() {
+            if of_target[target_idx].known().any(|idx| idx == source_idx) {
+                pairs.push((source_idx, target_idx));
+            }
+        }
+    }
+    pairs
 }
 
+/// The nearest so far, nearest first; the first offered wins a tie.
 #[derive(Clone, Copy)]
-struct Ranking {
-    best_idx: usize,
-    best_distance: f64,
-    second_distance: f64,
-}
+struct Ranking([(f32, u32); RANK_COUNT]);
 
 impl Default for Ranking {
     fn default() -> Self {
-        Self {
-            best_idx: usize::MAX,
-            best_distance: f64::INFINITY,
-            second_distance: f64::INFINITY,
-        }
+        Self([(f32::INFINITY, u32::MAX); RANK_COUNT])
     }
 }
 
 impl Ranking {
-    fn offer(&mut self, idx: usize, distance: f64) {
-        if distance < self.best_distance {
-            self.second_distance = self.best_distance;
-            (self.best_idx, self.best_distance) = (idx, distance);
-        } else {
-            self.second_distance = self.second_distance.min(distance);
+    fn offer(&mut self, idx: usize, distance: f32) {
+        if distance >= self.0[RANK_COUNT - 1].0 {
+            return;
         }
+        let mut place = RANK_COUNT - 1;
+        while place > 0 && self.0[place - 1].0 > distance {
+            self.0[place] = self.0[place - 1];
+            place -= 1;
+        }
+        self.0[place] = (distance, idx as u32);
+    }
+
+    fn known(&self) -> impl Iterator<Item = usize> {
+        let known = self.0.iter().filter(|(_, idx)| *idx != u32::MAX);
+        known.map(|(_, idx)| *idx as usize)
     }
 }
