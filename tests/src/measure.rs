@@ -1,9 +1,11 @@
-//! How good vSLAM is, as numbers: over recordings and rendered worlds, and over many seeds.
+//! How good vSLAM and registration are, as numbers: over recordings and rendered worlds, and over
+//! many seeds.
 //!
 //! Estimates meet the truth here and nowhere else.
 
 pub mod accuracy;
 mod catalogue;
+pub mod registration;
 pub mod robustness;
 mod score;
 mod table;

@@ -27,6 +27,8 @@ enum Chore {
     /// Track many short rendered recordings under random conditions: no panic, and no wrong pose
     /// called good.
     Robustness(measure::Arguments),
+    /// Find disturbed maps in each other from nothing: how often right, how often wrong.
+    Registration(measure::Arguments),
 }
 
 fn main() -> Result<()> {
@@ -35,5 +37,6 @@ fn main() -> Result<()> {
         Chore::Tidy => tidy::run(),
         Chore::Accuracy(arguments) => measure::run("accuracy", &arguments),
         Chore::Robustness(arguments) => measure::run("robustness", &arguments),
+        Chore::Registration(arguments) => measure::run("registration", &arguments),
     }
 }

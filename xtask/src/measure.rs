@@ -1,4 +1,4 @@
-//! The measuring of vSLAM, which is a program of its own: it links what is measured.
+//! The measuring of vSLAM and registration, a program of its own: it links what is measured.
 
 use std::process::Command;
 

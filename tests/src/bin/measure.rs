@@ -1,4 +1,4 @@
-//! `cargo xtask accuracy` and `cargo xtask robustness`.
+//! `cargo xtask accuracy`, `robustness` and `registration`.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use tests::measure::accuracy::{AccuracySettings, measure, place_table};
+use tests::measure::registration::{self, RegistrationSettings};
 use tests::measure::robustness::{Trial, draw, run_guarded};
 
 #[derive(Parser)]
-#[command(name = "cargo xtask", about = "How good vSLAM is, as numbers")]
+#[command(
+    name = "cargo xtask",
+    about = "How good vSLAM and registration are, as numbers"
+)]
 struct Arguments {
     #[command(subcommand)]
     what: What,
@@ -22,6 +26,7 @@ struct Arguments {
 enum What {
     Accuracy(AccuracyArguments),
     Robustness(RobustnessArguments),
+    Registration(RegistrationArguments),
 }
 
 #[derive(clap::Args)]
@@ -63,10 +68,21 @@ struct RobustnessArguments {
     threads: usize,
 }
 
+#[derive(clap::Args)]
+struct RegistrationArguments {
+    /// Seeds of each row; by default 50 of generated correspondences and 100 of maps.
+    #[arg(long)]
+    seeds: Option<u64>,
+    /// Only rows whose name has this in it; may be given again.
+    #[arg(long)]
+    only: Vec<String>,
+}
+
 fn main() -> Result<ExitCode> {
     match Arguments::parse().what {
         What::Accuracy(arguments) => accuracy(arguments),
         What::Robustness(arguments) => robustness(&arguments),
+        What::Registration(arguments) => register(arguments),
     }
 }
 
@@ -92,6 +108,17 @@ fn accuracy(arguments: AccuracyArguments) -> Result<ExitCode> {
         let path = Path::new("BENCHMARKS.md");
         place_table(path, &table).context("the table is printed above, but not written")?;
     }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn register(arguments: RegistrationArguments) -> Result<ExitCode> {
+    let data = std::env::var_os("STARLING_DATA").map(PathBuf::from);
+    let settings = RegistrationSettings {
+        correspondence_seed_count: arguments.seeds.unwrap_or(50),
+        map_seed_count: arguments.seeds.unwrap_or(100),
+        only: arguments.only,
+    };
+    registration::measure(&settings, data.as_deref(), say)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -44,7 +44,14 @@ const LAYERS: [(&str, &[&str]); 13] = [
     (
         "tests",
         &[
-            "camera", "geodesy", "geometry", "peer", "protocol", "sim", "vslam",
+            "camera",
+            "geodesy",
+            "geometry",
+            "peer",
+            "protocol",
+            "registration",
+            "sim",
+            "vslam",
         ],
     ),
     ("xtask", &[]),
