@@ -50,7 +50,8 @@ pub fn align(source: &ShapedCloud, target: &ShapedCloud, settings: &RegisterSett
 }
 
 /// Refines what a search found. Where correspondences say that the iteration ended elsewhere,
-/// they are believed: which points are the same is known of them, and only guessed by nearness.
+/// or where surfaces leave a direction free, they are believed: which points are the same is known
+/// of them, and only guessed by nearness.
 fn align_found(
     source: &ShapedCloud,
     target: &ShapedCloud,
@@ -60,10 +61,22 @@ fn align_found(
     let Some(refined) = iterate(source, target, &found.start, &icp_settings(settings)) else {
         return nothing_nearby();
     };
-    let has_failed = refined.scale_bounded || !refined.converged;
-    if found.agreement.is_none() || !(has_failed || found.contradicts(&refined.target_from_source))
-    {
-        return verdict(source, target, &refined, Some(found), settings);
+    let is_trusted = found.agreement.is_none()
+        || (refined.converged
+            && !refined.scale_bounded
+            && !found.contradicts(&refined.target_from_source));
+    if is_trusted {
+        let outcome = verdict(source, target, &refined, Some(found), settings);
+        let is_weak = matches!(
+            outcome,
+            Outcome::Refused {
+                reason: Refusal::WeakGeometry { .. },
+                ..
+            }
+        );
+        if found.agreement.is_none() || !is_weak {
+            return outcome;
+        }
     }
     let kept = Icp {
         target_from_source: found.start,
@@ -100,10 +113,14 @@ fn verdict(
 ) -> Outcome {
     let mut quality = measure(source, target, icp, settings.metric, settings.with_scale);
     quality.evidence = found.map(|found| found.evidence);
-    let verdict = judge(source, target, icp, &quality).and_then(|()| judge_evidence(&quality));
     let by_correspondences = found
         .filter(|found| found.start == icp.target_from_source)
         .and_then(|found| found.agreement.as_ref());
+    if by_correspondences.is_some() {
+        // What surfaces leave free, points that are the same fix.
+        quality.weak_directions.clear();
+    }
+    let verdict = judge(source, target, icp, &quality).and_then(|()| judge_evidence(&quality));
     let covariance = match by_correspondences {
         Some(agreement) => agreement.covariance(&icp.target_from_source, settings.with_scale),
         None => icp.normal.covariance(settings.with_scale),

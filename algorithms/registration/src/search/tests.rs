@@ -96,6 +96,24 @@ fn what_looks_the_same_is_found_and_counted() {
     );
 }
 
+/// Goal: a wall alone leaves three directions free, but not to points that look the same.
+#[test]
+fn what_looks_the_same_fixes_a_wall() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let mut wall = room(1600, &mut rng);
+    wall.retain(|(point, _)| point.y == 0.0 && point.z > 0.0);
+    let source = seen_again(&wall, &mut rng);
+    let Outcome::Accepted(alignment) = register(&cloud(source), &cloud(wall), &settings()) else {
+        panic!("each point is known");
+    };
+    let error = (truth().inverse() * alignment.target_from_source).log();
+    assert!(
+        error.fixed_rows::<3>(0).norm() < 0.003 && error[6].abs() < 0.003,
+        "{error}"
+    );
+    assert!(alignment.quality.weak_directions.is_empty());
+}
+
 /// Goal: 4 degrees of freedom and scale, from both clouds' own up.
 #[test]
 fn gravity_leaves_the_turn_about_it() {
