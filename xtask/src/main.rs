@@ -1,6 +1,7 @@
 //! The project's own chores: `cargo xtask --help`.
 
 mod check;
+mod compare_icp;
 mod measure;
 mod python;
 mod tidy;
@@ -24,6 +25,9 @@ enum Chore {
     /// Run every recording of $STARLING_DATA/video and rendered worlds: RMSE, share of frames,
     /// drift, time and memory as a table.
     Accuracy(measure::Arguments),
+    /// Align two scans of $STARLING_DATA beside the Python package small_gicp: errors, times, and
+    /// the ratio of the times.
+    CompareIcp(compare_icp::Arguments),
     /// Track many short rendered recordings under random conditions: no panic, and no wrong pose
     /// called good.
     Robustness(measure::Arguments),
@@ -36,6 +40,7 @@ fn main() -> Result<()> {
         Chore::Check => check::run(),
         Chore::Tidy => tidy::run(),
         Chore::Accuracy(arguments) => measure::run("accuracy", &arguments),
+        Chore::CompareIcp(arguments) => compare_icp::run(&arguments),
         Chore::Robustness(arguments) => measure::run("robustness", &arguments),
         Chore::Registration(arguments) => measure::run("registration", &arguments),
     }

@@ -1,4 +1,4 @@
-//! The Python client's packages, in an environment of their own below `target/`.
+//! Python packages that are no part of the product, in environments of their own below `target/`.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -8,11 +8,30 @@ use crate::check::workspace_root;
 /// What the client of the README imports.
 const PACKAGES: [&str; 3] = ["eclipse-zenoh==1.10.2", "cbor2>=5.6,<6", "numpy>=1.26,<3"];
 
-/// Installs the packages; `None`, with the reason on stderr, where Python or its index is absent.
+/// What our registration is compared with.
+const PEER_PACKAGES: [&str; 2] = ["small_gicp==1.0.1", "numpy>=1.26,<3"];
+
+/// Installs the client's packages; `None`, with the reason on stderr, where Python or its index is
+/// absent.
 ///
 /// The tests that need them then say "skipped".
 pub fn install() -> Option<PathBuf> {
-    let environment = workspace_root().join("target/python");
+    let installed = install_into("target/python", "import zenoh, cbor2, numpy", &PACKAGES);
+    if installed.is_none() {
+        eprintln!("the client's test will be skipped");
+    }
+    installed
+}
+
+/// Installs what ours is compared with, apart from the client's packages.
+pub fn install_peers() -> Option<PathBuf> {
+    let check = "import small_gicp, numpy";
+    install_into("target/python-peers", check, &PEER_PACKAGES)
+}
+
+/// - `check`: a program that fails unless the packages are there.
+fn install_into(folder: &str, check: &str, packages: &[&str]) -> Option<PathBuf> {
+    let environment = workspace_root().join(folder);
     let interpreter = environment.join("bin/python");
     if !interpreter.exists()
         && !quiet(
@@ -22,10 +41,10 @@ pub fn install() -> Option<PathBuf> {
                 .arg(&environment),
         )
     {
-        eprintln!("no Python with venv: the client's test will be skipped");
+        eprintln!("no Python with venv");
         return None;
     }
-    if quiet(Command::new(&interpreter).args(["-c", "import zenoh, cbor2, numpy"])) {
+    if quiet(Command::new(&interpreter).args(["-c", check])) {
         return Some(interpreter);
     }
     let pip = [
@@ -35,8 +54,8 @@ pub fn install() -> Option<PathBuf> {
         "--quiet",
         "--disable-pip-version-check",
     ];
-    if !quiet(Command::new(&interpreter).args(pip).args(PACKAGES)) {
-        eprintln!("pip could not install {PACKAGES:?}: the client's test will be skipped");
+    if !quiet(Command::new(&interpreter).args(pip).args(packages)) {
+        eprintln!("pip could not install {packages:?}");
         return None;
     }
     Some(interpreter)

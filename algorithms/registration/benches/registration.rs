@@ -143,6 +143,41 @@ fn search(criterion: &mut Criterion) {
     }
 }
 
+/// A keyframe's points against a map, from a guess; and the map taking a chunk.
+fn keyframe_alignment(criterion: &mut Criterion) {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let map = ShapedCloud::new(&Cloud::from_points(room(20_000, &mut rng)), None);
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, -0.03, 0.05));
+    let moved = |point: Vector3<f64>| turn * point + Vector3::new(0.1, -0.1, 0.05);
+    let seen = room(12_000, &mut rng).into_iter().filter(|point| {
+        point.z > 1.0 && point.x.abs() < 1.2 * point.z && point.y.abs() < 1.2 * point.z
+    });
+    let keyframe = Cloud::from_points(seen.take(1500).map(moved).collect());
+    assert_eq!(keyframe.points().len(), 1500);
+    criterion.bench_function("prepare/shapes/1500", |bencher| {
+        bencher.iter(|| black_box(ShapedCloud::new(&keyframe, None)));
+    });
+    let keyframe = ShapedCloud::new(&keyframe, None);
+    for (name, with_scale) in [("rigid", false), ("with_scale", true)] {
+        let settings = RegisterSettings {
+            with_scale,
+            ..RegisterSettings::default()
+        };
+        criterion.bench_function(&format!("align/keyframe_{name}/1500_in_20k"), |bencher| {
+            bencher.iter(|| black_box(align(&keyframe, &map, &settings)));
+        });
+    }
+    let chunk = Cloud::from_points(room(250, &mut rng));
+    criterion.bench_function("prepare/extend_by_chunk/250_to_20k", |bencher| {
+        let fresh = || map.clone();
+        let extend = |mut map: ShapedCloud| {
+            map.extend(&chunk);
+            map
+        };
+        bencher.iter_batched(fresh, extend, BatchSize::LargeInput);
+    });
+}
+
 /// A keyframe of 800 features in the middle of a map of 20,000 landmarks.
 fn localizer_scene() -> (Vec<Vec<Landmark>>, KeyframeObservation) {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -222,5 +257,12 @@ fn localization(criterion: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, nearest, alignment, search, localization);
+criterion_group!(
+    benches,
+    nearest,
+    alignment,
+    keyframe_alignment,
+    search,
+    localization
+);
 criterion_main!(benches);

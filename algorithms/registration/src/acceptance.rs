@@ -1,11 +1,11 @@
 //! Whether an alignment is supported by the clouds, and in which directions it is not.
 
-use geometry::{Matrix7, Similarity};
+use geometry::{Matrix7, RobustKernel, Similarity, Tangent7};
 use nalgebra::{SMatrix, SymmetricEigen, Vector3};
 
 use crate::alignment::{Metric, Quality, Refusal, Source, Target};
 use crate::cloud::{ShapedCloud, to_single};
-use crate::icp::{Icp, find_pairs, information, overlaps};
+use crate::icp::{Icp, NormalEquations, Pair, overlap_of_target};
 
 /// Of the larger and of the smaller of the two overlaps.
 const OVERLAP_MIN: (f64, f64) = (0.45, 0.25);
@@ -16,16 +16,24 @@ const PARTNER_SPACINGS: f64 = 2.5;
 const RESIDUAL_MAX: f64 = 0.35;
 /// Fewer pairs with two normals say nothing of how normals agree.
 const NORMAL_PAIR_COUNT_MIN: f64 = 20.0;
-/// Mean cosine between the normals of pairs. Chance gives 0.5, and 0.57 after the iteration has
-/// made the best of it; surfaces whose noise equals the spacing of their points still have 0.73.
-const NORMAL_AGREEMENT_MIN: f64 = 0.64;
+/// Mean cosine between the normals of pairs. Chance gives 0.5, and up to 0.71 after the iteration
+/// has made the best of it, a box in a cloud of noise; surfaces whose noise equals the spacing of
+/// their points still have 0.73.
+const NORMAL_AGREEMENT_MIN: f64 = 0.72;
 /// How far a shifted source is moved for comparison, in widths; partners are sought within one.
 const SHIFT_WIDTHS: f64 = 2.0;
 /// Below this contrast single points coincide, whatever their normals: noise against other noise
 /// comes to 0.3 and more.
 const CONTRAST_MAX_WITHOUT_NORMALS: f64 = 0.25;
+/// Points that fall anywhere between others are about half of their spacing from the nearest.
+const COINCIDENCE_SPACINGS_MAX: f64 = 0.4;
+/// So many pairs tell how well the clouds agree.
+const PAIR_COUNT_MAX: usize = 1500;
+/// So many points tell the contrast.
+const CONTRAST_POINT_COUNT: usize = 200;
 /// A direction with less information per pair than this, relative to a pair that fixes it fully,
-/// is not fixed. Normals that are wrong by three degrees pretend 0.003.
+/// is not fixed. What normals of both clouds have in common, such as the rounding of an edge,
+/// pretends 0.003.
 const INFORMATION_MIN: f64 = 0.004;
 
 /// Within this distance a pair is explained by how sparse the clouds are.
@@ -33,56 +41,59 @@ pub(crate) fn partner_distance(source: &ShapedCloud, target: &ShapedCloud, scale
     PARTNER_SPACINGS * (source.spacing * scale).max(target.spacing).max(1e-9)
 }
 
-/// Measures how well the clouds agree after the iteration.
+/// Measures how well the clouds agree after the iteration; the pairs become those within the
+/// distance that partners are sought at.
 pub(crate) fn measure(
     source: &ShapedCloud,
     target: &ShapedCloud,
-    icp: &Icp,
+    icp: &mut Icp,
     metric: Metric,
     with_scale: bool,
 ) -> Quality {
     let alignment = &icp.target_from_source;
     let width = partner_distance(source, target, alignment.scale());
-    let (overlap_source, overlap_target) = overlaps(source, target, alignment, width);
-    let mut pairs = Vec::new();
-    find_pairs(source, target, alignment, width, false, &mut pairs);
-    let rotation = alignment.linear_matrix() / alignment.scale();
-    let (mut squares, mut surface_squares) = (0.0, 0.0);
-    let mut by_target = Matrix7::zeros();
-    let mut by_source = Matrix7::zeros();
+    let pairing = &mut icp.pairing;
+    pairing.keep_source_alone();
+    pairing.renew(source, target, alignment, width);
+    let pairs = &pairing.pairs;
+    let mut distances: Vec<f32> = pairs.iter().map(|pair| pair.distance_squared).collect();
+    let overlap_source = pairs.len() as f64 / source.points.len().max(1) as f64;
+    let overlap_target = overlap_of_target(source, target, alignment, width);
+    let kernel = RobustKernel::None;
+    let stride = pairs.len().div_ceil(PAIR_COUNT_MAX).max(1);
+    let pairs: Vec<Pair> = pairs.iter().copied().step_by(stride).collect();
+    let squares = NormalEquations::sum(source, target, alignment, &pairs, metric, kernel).cost;
+    let rotation = alignment.rotation().inverse();
+    let mut surface_squares = 0.0;
+    let mut surfaces = SurfaceInformation::default();
     let mut normals = NormalAgreement::default();
     for pair in &pairs {
         let point = source.points[pair.source_idx as usize];
         let residual = target.points[pair.target_idx as usize] - *alignment * point;
-        let metric_information = information(source, target, pair, &rotation, metric);
-        squares += residual.dot(&(metric_information * residual));
         let normal = target.shapes[pair.target_idx as usize].normal;
         let own_normal = source.shapes[pair.source_idx as usize].normal;
         surface_squares += match normal {
             Some(normal) => residual.dot(&normal).powi(2),
             None => residual.norm_squared(),
         };
+        let normal = normal.map(|normal| rotation * normal);
         let lever = point / source.radius;
-        by_target += surface(normal.map(|normal| rotation.transpose() * normal), &lever);
-        by_source += surface(own_normal, &lever);
+        surfaces.add([normal, own_normal], &lever);
         if let (Some(normal), Some(own_normal)) = (normal, own_normal) {
-            normals.add(normal.dot(&(rotation * own_normal)));
+            normals.add(normal.dot(&own_normal));
         }
     }
     let pair_count = pairs.len().max(1) as f64;
     Quality {
         rmse_m: (squares / pair_count).sqrt(),
+        distance_m_p50: median(&mut distances).map_or(0.0, f64::from).sqrt(),
         surface_rmse_m: (surface_squares / pair_count).sqrt(),
         overlap_source,
         overlap_target,
         iteration_count: icp.iteration_count,
         normal_agreement: normals.mean(),
         residual_contrast: contrast(source, target, alignment, width),
-        weak_directions: [by_target, by_source]
-            .map(|sum| weak_directions(&(sum / pair_count), with_scale))
-            .into_iter()
-            .max_by_key(Vec::len)
-            .unwrap_or_default(),
+        weak_directions: weak_directions(&surfaces.mean(), with_scale),
         evidence: None,
     }
 }
@@ -100,7 +111,13 @@ pub(crate) fn judge(
         });
     }
     if !icp.converged {
-        return Err(Refusal::NotConverged);
+        // What slides along a free direction does not come to rest.
+        return Err(match quality.weak_directions.is_empty() {
+            true => Refusal::NotConverged,
+            false => Refusal::WeakGeometry {
+                directions: quality.weak_directions.clone(),
+            },
+        });
     }
     let (more, less) = (
         quality.overlap_source.max(quality.overlap_target),
@@ -121,7 +138,9 @@ pub(crate) fn judge(
     let normals_agree = quality
         .normal_agreement
         .is_some_and(|agreement| agreement > NORMAL_AGREEMENT_MIN);
-    if !normals_agree && quality.residual_contrast > CONTRAST_MAX_WITHOUT_NORMALS {
+    let coincide = quality.residual_contrast < CONTRAST_MAX_WITHOUT_NORMALS
+        && quality.distance_m_p50 < COINCIDENCE_SPACINGS_MAX * target.spacing;
+    if !normals_agree && !coincide {
         return Err(Refusal::SurfacesDisagree {
             normal_agreement: quality.normal_agreement,
         });
@@ -134,29 +153,65 @@ pub(crate) fn judge(
     Ok(())
 }
 
-/// The information of one pair when only the distance to the surface counts, with the rotation
-/// and the scale acting on the cloud's radius.
-///
-/// - `normal`: in the source's axes.
-fn surface(normal: Option<Vector3<f64>>, lever: &Vector3<f64>) -> Matrix7 {
-    let column = |direction: Vector3<f64>| {
-        let turn = lever.cross(&direction);
-        let mut column = SMatrix::<f64, 7, 1>::zeros();
-        column.fixed_rows_mut::<3>(0).copy_from(&turn);
-        column.fixed_rows_mut::<3>(3).copy_from(&direction);
-        column[6] = lever.dot(&direction);
-        column
-    };
-    match normal {
-        Some(normal) => {
-            let column = column(normal);
-            column * column.transpose()
+/// The information of pairs when only the distance to the surface counts, with the rotation and
+/// the scale acting on the cloud's radius.
+#[derive(Clone, Debug, Default)]
+struct SurfaceInformation {
+    of_surfaces: Matrix7,
+    of_others: Matrix7,
+    surface_count: f64,
+    other_count: f64,
+}
+
+impl SurfaceInformation {
+    /// The product of what the two normals say: errors that they do not share cancel out, where
+    /// the square of one would take its error for information.
+    ///
+    /// - `normals`: of both points, in the source's axes.
+    fn add(&mut self, normals: [Option<Vector3<f64>>; 2], lever: &Vector3<f64>) {
+        match normals {
+            [Some(first), Some(second)] => {
+                let [first, second] = [first, second * first.dot(&second).signum()]
+                    .map(|normal| along(&normal, lever));
+                let product = first * second.transpose();
+                self.of_surfaces += (product + product.transpose()) * 0.5;
+                self.surface_count += 1.0;
+            }
+            [None, None] => {
+                let axes = (0..3).map(|axis| along(&Vector3::ith(axis, 1.0), lever));
+                self.of_others += axes.map(|axis| axis * axis.transpose()).sum::<Matrix7>();
+                self.other_count += 1.0;
+            }
+            // The edge of a surface, which one cloud shows and the other does not.
+            _ => {}
         }
-        None => (0..3)
-            .map(|axis| column(Vector3::ith(axis, 1.0)))
-            .map(|column| column * column.transpose())
-            .sum(),
     }
+
+    /// Per pair. Points without a surface are mostly those at edges, which slide along them; only
+    /// where much of the cloud is such do they tell what its surfaces leave free.
+    fn mean(&self) -> Matrix7 {
+        let count = (self.surface_count + self.other_count).max(1.0);
+        (self.of_surfaces + self.of_others * (self.other_count / count)) / count
+    }
+}
+
+fn along(direction: &Vector3<f64>, lever: &Vector3<f64>) -> Tangent7 {
+    let mut column = Tangent7::zeros();
+    column
+        .fixed_rows_mut::<3>(0)
+        .copy_from(&lever.cross(direction));
+    column.fixed_rows_mut::<3>(3).copy_from(direction);
+    column[6] = lever.dot(direction);
+    column
+}
+
+fn median(values: &mut [f32]) -> Option<f32> {
+    let rank = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    let (_, median, _) = values.select_nth_unstable_by(rank, f32::total_cmp);
+    Some(*median)
 }
 
 /// How well the normals of pairs agree, where both have one.
@@ -206,7 +261,8 @@ fn capped_squares(
     width: f64,
 ) -> f64 {
     let limit = (width * width) as f32;
-    let squares = source.points.iter().map(|point| {
+    let stride = source.points.len().div_ceil(CONTRAST_POINT_COUNT).max(1);
+    let squares = source.points.iter().step_by(stride).map(|point| {
         let moved = *target_from_source * *point + shift;
         let found = target.tree.nearest(to_single(&moved), limit);
         f64::from(found.map_or(limit, |found| found.distance_squared))

@@ -60,7 +60,7 @@ impl Default for RegisterSettings {
             start: Start::Identity,
             voxel_m: None,
             max_distance_m: None,
-            iteration_limit: 60,
+            iteration_limit: 100,
             gravity: None,
             seed: 1,
         }
@@ -91,6 +91,8 @@ pub struct Alignment {
 pub struct Quality {
     /// Of the paired points, in the metric's residual.
     pub rmse_m: f64,
+    /// Between paired points, the median.
+    pub distance_m_p50: f64,
     /// Of the paired points, across the target's surface.
     pub surface_rmse_m: f64,
     /// The share of source points with a target point nearby.

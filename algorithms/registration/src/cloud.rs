@@ -1,11 +1,12 @@
 //! A set of points as it comes from a file or a map.
 
 mod shape;
+mod thin;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 pub use shape::ShapedCloud;
-pub(crate) use shape::{PLANE_THICKNESS, to_single};
+pub(crate) use shape::{PLANE_THICKNESS, Shape, to_single};
 
 /// Points, and what is known about their appearance.
 ///
@@ -13,6 +14,8 @@ pub(crate) use shape::{PLANE_THICKNESS, to_single};
 #[derive(Clone, Debug, Default)]
 pub struct Cloud {
     points: Vec<Vector3<f64>>,
+    /// One per point, or none at all.
+    covariances: Vec<Matrix3<f64>>,
     descriptors: Descriptors,
     dropped_count: usize,
 }
@@ -56,8 +59,29 @@ impl Cloud {
         Self {
             dropped_count: offered_count - points.len(),
             points,
+            covariances: Vec::new(),
             descriptors: Descriptors::None,
         }
+    }
+
+    /// A cloud whose points are known to these covariances, such as those of a map.
+    ///
+    /// A point without a usable one, finite and not negative, is dropped with it.
+    pub fn with_covariances(
+        points: impl IntoIterator<Item = (Vector3<f64>, Matrix3<f64>)>,
+    ) -> Self {
+        let mut cloud = Self::default();
+        for (point, covariance) in points {
+            let known = covariance.iter().all(|value| value.is_finite())
+                && (0..3).all(|axis| covariance[(axis, axis)] >= 0.0);
+            if known && is_usable(&point) {
+                cloud.points.push(point);
+                cloud.covariances.push(covariance);
+            } else {
+                cloud.dropped_count += 1;
+            }
+        }
+        cloud
     }
 
     /// A cloud with one descriptor per point.
@@ -84,6 +108,7 @@ impl Cloud {
         };
         Ok(Self {
             points: retained(points, &usable),
+            covariances: Vec::new(),
             descriptors,
             dropped_count: usable.iter().filter(|usable| !**usable).count(),
         })

@@ -2,32 +2,38 @@
 //!
 //! Works on centred clouds. The kernel's width shrinks from what the start needs to what the
 //! spacing of the points allows (graduated non-convexity), so that one loop serves rough and good
-//! starts. With a free scale pairs are sought from both clouds: from one side alone a cloud that
-//! shrinks to a spot would fit perfectly.
+//! starts; meanwhile pairs beyond the part that overlaps are trimmed. With a free scale pairs are
+//! sought from both clouds and their cost is symmetric: from one side alone a cloud that shrinks
+//! to a spot would fit perfectly.
 
+mod closed_form;
+mod covariance;
 mod linearise;
+mod metric;
 mod pairs;
+mod trim;
 
-use geometry::{Matrix7, RobustKernel, Similarity, Tangent7};
-use nalgebra::Matrix6;
+use geometry::{RobustKernel, Similarity, Tangent7};
 
 use crate::alignment::{Metric, Source, Target};
-use crate::cloud::ShapedCloud;
+use crate::cloud::{ShapedCloud, to_single};
 
-pub(crate) use linearise::{NormalEquations, information};
-pub(crate) use pairs::{Pair, find_pairs, overlaps};
+pub(crate) use linearise::NormalEquations;
+pub(crate) use pairs::{Pair, Pairing, overlap_of_target};
 
 /// The kernel's width narrows by this factor in each iteration.
-const NARROWING: f64 = 0.8;
+const NARROWING: f64 = 0.6;
 /// The final width in units of the spacing of the coarser cloud.
 const FINAL_WIDTH_SPACINGS: f64 = 5.0;
+/// So many points of the source make the first steps of large clouds.
+const COARSE_POINT_COUNT: usize = 1000;
+/// So many points of the source tell the width at the start.
+const START_POINT_COUNT: usize = 300;
 /// Pairs beyond this many widths are not sought.
-const GATE_WIDTHS: f64 = 3.0;
-/// Pairs that stand for one independent measurement: those of a neighbourhood.
-const PAIRS_PER_INDEPENDENT: f64 = 10.0;
+const GATE_WIDTHS: f64 = 2.0;
 /// Sparse clouds swing between pairings for ever; a last step below this share of the kernel's
 /// width is good enough.
-const SETTLED_WIDTHS: f64 = 0.02;
+const SETTLED_WIDTHS: f64 = 0.005;
 /// The scale stays within this factor of where it started.
 const SCALE_FACTOR_MAX: f64 = 2.0;
 
@@ -44,7 +50,11 @@ pub(crate) struct IcpSettings {
 pub(crate) struct Icp {
     /// Between the centred clouds.
     pub target_from_source: Similarity<Target, Source>,
-    pub normal: NormalEquations,
+    /// Those of the last step.
+    pub pairing: Pairing,
+    /// Pairs farther apart are none.
+    pub gate: f64,
+    pub kernel: RobustKernel,
     pub iteration_count: usize,
     pub converged: bool,
     pub scale_bounded: bool,
@@ -56,51 +66,119 @@ fn final_width(source: &ShapedCloud, target: &ShapedCloud, scale: f64) -> f64 {
 }
 
 /// `None` if the pairs do not determine a step.
+///
+/// Large clouds are first aligned by a part of their points.
 pub(crate) fn iterate(
     source: &ShapedCloud,
     target: &ShapedCloud,
     start: &Similarity<Target, Source>,
     settings: &IcpSettings,
 ) -> Option<Icp> {
-    let mut alignment = *start;
+    let gate_max = settings.max_distance.unwrap_or(f64::INFINITY);
     let narrowest = final_width(source, target, start.scale());
-    let mut width = start_width(source, target, start, settings).max(narrowest);
-    let mut pairs = Vec::new();
-    let mut iteration_count = 0;
-    let mut converged = false;
-    let mut settled = false;
-    let mut scale_bounded = false;
-    let mut normal = NormalEquations::default();
-    while iteration_count < settings.iteration_limit && !converged && !scale_bounded {
-        iteration_count += 1;
-        let gate = (GATE_WIDTHS * width).min(settings.max_distance.unwrap_or(f64::INFINITY));
-        find_pairs(
-            source,
-            target,
-            &alignment,
-            gate,
-            settings.with_scale,
-            &mut pairs,
-        );
-        let kernel = RobustKernel::GemanMcClure { threshold: width };
-        normal = NormalEquations::sum(source, target, &alignment, &pairs, settings.metric, kernel);
-        let step = normal.step(settings.with_scale)?;
-        alignment = alignment.perturbed(&step);
-        let ratio = alignment.scale() / start.scale();
-        scale_bounded = !(1.0 / SCALE_FACTOR_MAX..SCALE_FACTOR_MAX).contains(&ratio);
-        let narrow = width <= narrowest * 1.001;
-        let moved = largest_move(&step, source.radius) * alignment.scale();
-        converged = narrow && moved < 1e-5 * target.radius;
-        settled = narrow && moved < SETTLED_WIDTHS * narrowest;
-        width = (width * NARROWING).max(narrowest);
+    let width = start_width(source, target, start, gate_max).max(narrowest);
+    let reach = settings.with_scale.then_some(GATE_WIDTHS * width);
+    let mut icp = Icp {
+        target_from_source: *start,
+        pairing: Pairing::new(source, target, start, reach),
+        gate: gate_max,
+        kernel: RobustKernel::GemanMcClure { threshold: width },
+        iteration_count: 0,
+        converged: false,
+        scale_bounded: false,
+    };
+    let mut widths = Widths { width, narrowest };
+    if source.points.len() >= 2 * COARSE_POINT_COUNT {
+        let all = icp.pairing;
+        icp.pairing = all.sampled(COARSE_POINT_COUNT);
+        icp.settle(source, target, start, settings, &mut widths)?;
+        icp.pairing = all;
+        icp.converged = false;
     }
-    Some(Icp {
-        target_from_source: alignment,
-        normal,
-        iteration_count,
-        converged: converged || settled,
-        scale_bounded,
-    })
+    icp.settle(source, target, start, settings, &mut widths)?;
+    Some(icp)
+}
+
+/// How wide the kernel is, and will be in the end.
+struct Widths {
+    width: f64,
+    narrowest: f64,
+}
+
+impl Icp {
+    /// Steps until they are small, or there are too many of them.
+    fn settle(
+        &mut self,
+        source: &ShapedCloud,
+        target: &ShapedCloud,
+        start: &Similarity<Target, Source>,
+        settings: &IcpSettings,
+        widths: &mut Widths,
+    ) -> Option<()> {
+        let gate_max = settings.max_distance.unwrap_or(f64::INFINITY);
+        let narrowest = widths.narrowest;
+        while self.iteration_count < settings.iteration_limit
+            && !self.converged
+            && !self.scale_bounded
+        {
+            self.iteration_count += 1;
+            let gate = (GATE_WIDTHS * widths.width).min(gate_max);
+            self.renew_pairs(source, target, gate, narrowest);
+            self.kernel = RobustKernel::GemanMcClure {
+                threshold: widths.width,
+            };
+            let step = self.step(source, target, settings)?;
+            let ratio = self.target_from_source.scale() / start.scale();
+            self.scale_bounded = !(1.0 / SCALE_FACTOR_MAX..SCALE_FACTOR_MAX).contains(&ratio);
+            let moved = largest_move(&step, source.radius) * self.target_from_source.scale();
+            let is_narrow = widths.width <= narrowest * 1.001;
+            self.converged = is_narrow && moved < SETTLED_WIDTHS * narrowest;
+            widths.width = (widths.width * NARROWING).max(narrowest);
+        }
+        Some(())
+    }
+
+    /// Pairs within the gate, without those beyond the part that overlaps.
+    fn renew_pairs(
+        &mut self,
+        source: &ShapedCloud,
+        target: &ShapedCloud,
+        gate: f64,
+        narrowest: f64,
+    ) {
+        let pairing = &mut self.pairing;
+        pairing.renew(source, target, &self.target_from_source, gate);
+        let trimmed = trim::distance(&pairing.pairs, pairing.seeking_count(), gate);
+        self.gate = trimmed.max(narrowest).min(gate);
+        let limit = self.gate * self.gate;
+        pairing
+            .pairs
+            .retain(|pair| f64::from(pair.distance_squared) < limit);
+    }
+
+    /// Moves the alignment, and tells by how much.
+    fn step(
+        &mut self,
+        source: &ShapedCloud,
+        target: &ShapedCloud,
+        settings: &IcpSettings,
+    ) -> Option<Tangent7> {
+        let before = self.target_from_source;
+        let pairs = &self.pairing.pairs;
+        let in_closed_form =
+            settings.metric == Metric::Point && !source.knows_noise() && !target.knows_noise();
+        if in_closed_form {
+            let scale = (!settings.with_scale).then(|| before.scale());
+            let after = closed_form::solve(source, target, pairs, self.kernel, scale)?;
+            self.target_from_source = after;
+            return Some((before.inverse() * after).log());
+        }
+        let metric = settings.metric;
+        let normal = NormalEquations::sum(source, target, &before, pairs, metric, self.kernel);
+        let step = normal.step(settings.with_scale)?;
+        self.target_from_source = before.perturbed(&step);
+        Some(step)
+    }
 }
 
 /// Twice the distance within which three quarters of the source find a partner at the start.
@@ -108,19 +186,21 @@ fn start_width(
     source: &ShapedCloud,
     target: &ShapedCloud,
     start: &Similarity<Target, Source>,
-    settings: &IcpSettings,
+    gate: f64,
 ) -> f64 {
-    let gate = settings.max_distance.unwrap_or(f64::INFINITY);
-    let mut pairs: Vec<Pair> = Vec::new();
-    find_pairs(source, target, start, gate, false, &mut pairs);
-    if pairs.is_empty() {
+    let mut squares = Vec::with_capacity(2 * START_POINT_COUNT);
+    let stride = (source.points.len() / START_POINT_COUNT).max(1);
+    let limit = (gate * gate) as f32;
+    for point in source.points.iter().step_by(stride) {
+        let found = target.tree.nearest(to_single(&(*start * *point)), limit);
+        squares.extend(found.map(|found| found.distance_squared));
+    }
+    if squares.is_empty() {
         return 0.0;
     }
-    let rank = pairs.len() * 3 / 4;
-    let (_, found, _) = pairs.select_nth_unstable_by(rank, |a, b| {
-        a.distance_squared.total_cmp(&b.distance_squared)
-    });
-    2.0 * f64::from(found.distance_squared).sqrt()
+    let rank = squares.len() * 3 / 4;
+    let (_, found, _) = squares.select_nth_unstable_by(rank, f32::total_cmp);
+    2.0 * f64::from(*found).sqrt()
 }
 
 /// How far a step moves a point at the cloud's radius.
@@ -143,26 +223,6 @@ impl NormalEquations {
         let step = rigid.cholesky()?.solve(&-gradient);
         let mut all = Tangent7::zeros();
         all.fixed_rows_mut::<6>(0).copy_from(&step);
-        Some(all)
-    }
-
-    /// The covariance of the alignment; zero in the scale where that is fixed.
-    ///
-    /// Neighbours share their normals and the bend of their surface, so that only every
-    /// `PAIRS_PER_INDEPENDENT`-th pair counts as evidence of its own.
-    pub fn covariance(&self, with_scale: bool) -> Option<Matrix7> {
-        let freedom = (self.weight_sum - 7.0).max(1.0);
-        let variance = PAIRS_PER_INDEPENDENT * self.cost / freedom;
-        if with_scale {
-            return self
-                .hessian
-                .cholesky()
-                .map(|factor| factor.inverse() * variance);
-        }
-        let rigid: Matrix6<f64> = self.hessian.fixed_view::<6, 6>(0, 0).into_owned();
-        let mut all = Matrix7::zeros();
-        let inverse = rigid.cholesky()?.inverse() * variance;
-        all.fixed_view_mut::<6, 6>(0, 0).copy_from(&inverse);
         Some(all)
     }
 }

@@ -7,12 +7,23 @@ const STACK_SIZE: usize = 64;
 /// Marks a node as a leaf.
 const LEAF_AXIS: u32 = 3;
 
-/// A k-d tree over points in single precision.
+/// A k-d tree over points in single precision that takes more points as they come.
 ///
 /// Split at the median of the longest side, with leaves of 16 points whose coordinates lie
-/// together. Built once; 0.5 µs per query among 100,000 points (`benches/registration.rs`).
+/// together; 0.2 µs per query among 20,000 points (`BENCHMARKS.md` compares it with others).
+/// Points that come later form trees of their own, which are merged as soon as the next is as
+/// large (Bentley and Saxe 1980): a point is sorted anew log(map size) times in all.
 #[derive(Clone, Debug, Default)]
 pub struct KdTree {
+    points: Vec<[f32; 3]>,
+    /// Over consecutive points, large ones first.
+    parts: Vec<Part>,
+}
+
+/// A tree over the points from `start` to the next part.
+#[derive(Clone, Debug)]
+struct Part {
+    start: usize,
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
 }
@@ -41,44 +52,41 @@ pub struct Neighbour {
     pub distance_squared: f32,
 }
 
+/// The two nearest points: the second bounds how far the query may move before another
+/// point than the first can be nearest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct NearestTwo {
+    pub first: Neighbour,
+    pub second: Neighbour,
+}
+
 impl KdTree {
     /// Points that are not finite are never found.
     pub fn new(points: &[[f32; 3]]) -> Self {
-        let mut order: Vec<u32> = (0..points.len() as u32).collect();
-        order.retain(|idx| points[*idx as usize].iter().all(|one| one.is_finite()));
         let mut tree = Self::default();
-        if !order.is_empty() {
-            tree.build(points, &mut order);
-        }
+        tree.extend(points);
         tree
     }
 
-    fn build(&mut self, points: &[[f32; 3]], order: &mut [u32]) {
-        let node_idx = self.nodes.len();
-        if order.len() <= LEAF_SIZE {
-            self.nodes.push(Node {
-                split: 0.0,
-                axis: LEAF_AXIS,
-                link: self.leaves.len() as u32,
-            });
-            self.leaves.push(Leaf::new(points, order));
-            return;
+    pub(crate) fn point(&self, idx: u32) -> [f32; 3] {
+        self.points[idx as usize]
+    }
+
+    /// Adds points; their indices follow those that are there.
+    pub fn extend(&mut self, points: &[[f32; 3]]) {
+        let mut start = self.points.len();
+        self.points.extend_from_slice(points);
+        // A part no larger than what comes after it is sorted together with that.
+        while let Some(last) = self.parts.last() {
+            if start - last.start > self.points.len() - start {
+                break;
+            }
+            start = last.start;
+            self.parts.pop();
         }
-        let axis = longest_side(points, order);
-        let middle = order.len() / 2;
-        order.select_nth_unstable_by(middle, |a, b| {
-            let (a_value, b_value) = (points[*a as usize][axis], points[*b as usize][axis]);
-            a_value.total_cmp(&b_value).then(a.cmp(b))
-        });
-        self.nodes.push(Node {
-            split: points[order[middle] as usize][axis],
-            axis: axis as u32,
-            link: 0,
-        });
-        let (left, right) = order.split_at_mut(middle);
-        self.build(points, left);
-        self.nodes[node_idx].link = self.nodes.len() as u32;
-        self.build(points, right);
+        if start < self.points.len() {
+            self.parts.push(Part::new(&self.points, start));
+        }
     }
 
     /// The nearest point within a distance; the lower index wins a tie within a leaf.
@@ -104,6 +112,36 @@ impl KdTree {
             distance_squared_max,
         );
         (best.idx != u32::MAX).then_some(best)
+    }
+
+    /// The two nearest points within a distance; of those that are not there the index is
+    /// `u32::MAX` and the distance the limit.
+    pub(crate) fn nearest_two(&self, query: [f32; 3], distance_squared_max: f32) -> NearestTwo {
+        let nobody = Neighbour {
+            idx: u32::MAX,
+            distance_squared: distance_squared_max,
+        };
+        let (mut first, mut second) = (nobody, nobody);
+        self.visit(
+            query,
+            |leaf, _| {
+                let distances = leaf.distances_squared(query);
+                for (distance_squared, idx) in distances.into_iter().zip(leaf.idx) {
+                    let one = Neighbour {
+                        idx,
+                        distance_squared,
+                    };
+                    if distance_squared < first.distance_squared {
+                        (first, second) = (one, first);
+                    } else if distance_squared < second.distance_squared {
+                        second = one;
+                    }
+                }
+                second.distance_squared
+            },
+            distance_squared_max,
+        );
+        NearestTwo { first, second }
     }
 
     /// The `count` nearest points, nearest first, into `found`.
@@ -164,13 +202,69 @@ impl KdTree {
         );
     }
 
-    /// Visits leaves, near ones first, that may hold points nearer than the limit; each visit
-    /// returns the limit from then on.
     fn visit(&self, query: [f32; 3], mut leaf_visit: impl FnMut(&Leaf, f32) -> f32, limit: f32) {
-        if self.nodes.is_empty() {
+        let mut limit = limit;
+        for part in &self.parts {
+            limit = part.visit(query, &mut leaf_visit, limit);
+        }
+    }
+}
+
+impl Part {
+    fn new(points: &[[f32; 3]], start: usize) -> Self {
+        let mut order: Vec<u32> = (start as u32..points.len() as u32).collect();
+        order.retain(|idx| points[*idx as usize].iter().all(|one| one.is_finite()));
+        let mut part = Self {
+            start,
+            nodes: Vec::new(),
+            leaves: Vec::new(),
+        };
+        if !order.is_empty() {
+            part.build(points, &mut order);
+        }
+        part
+    }
+
+    fn build(&mut self, points: &[[f32; 3]], order: &mut [u32]) {
+        let node_idx = self.nodes.len();
+        if order.len() <= LEAF_SIZE {
+            self.nodes.push(Node {
+                split: 0.0,
+                axis: LEAF_AXIS,
+                link: self.leaves.len() as u32,
+            });
+            self.leaves.push(Leaf::new(points, order));
             return;
         }
-        let mut limit = limit;
+        let axis = longest_side(points, order);
+        let middle = order.len() / 2;
+        order.select_nth_unstable_by(middle, |a, b| {
+            let (a_value, b_value) = (points[*a as usize][axis], points[*b as usize][axis]);
+            a_value.total_cmp(&b_value).then(a.cmp(b))
+        });
+        self.nodes.push(Node {
+            split: points[order[middle] as usize][axis],
+            axis: axis as u32,
+            link: 0,
+        });
+        let (left, right) = order.split_at_mut(middle);
+        self.build(points, left);
+        self.nodes[node_idx].link = self.nodes.len() as u32;
+        self.build(points, right);
+    }
+
+    /// Visits leaves, near ones first, that may hold points nearer than the limit; each visit
+    /// returns the limit from then on.
+    #[inline]
+    fn visit(
+        &self,
+        query: [f32; 3],
+        leaf_visit: &mut impl FnMut(&Leaf, f32) -> f32,
+        mut limit: f32,
+    ) -> f32 {
+        if self.nodes.is_empty() {
+            return limit;
+        }
         // Node, squared distance to its box, and the offsets to the box along the axes (Arya and
         // Mount 1993).
         let mut stack = [(0_u32, 0.0_f32, [0.0_f32; 3]); STACK_SIZE];
@@ -205,6 +299,7 @@ impl KdTree {
                 node_idx = near;
             }
         }
+        limit
     }
 }
 
@@ -275,12 +370,19 @@ mod tests {
             points in prop::collection::vec(prop::array::uniform3(-2.0_f32..2.0), 0..300),
             query in prop::array::uniform3(-3.0_f32..3.0),
             count in 1_usize..20,
+            part_size in 1_usize..300,
         ) {
-            let tree = KdTree::new(&points);
+            let mut tree = KdTree::default();
+            for part in points.chunks(part_size) {
+                tree.extend(part);
+            }
             let mut all: Vec<f32> = points.iter().map(|one| squared(*one, query)).collect();
             all.sort_by(f32::total_cmp);
             let nearest = tree.nearest(query, f32::INFINITY);
             prop_assert_eq!(nearest.map(|one| one.distance_squared), all.first().copied());
+            let two = tree.nearest_two(query, f32::INFINITY);
+            let distances = [two.first, two.second].map(|one| one.distance_squared);
+            prop_assert_eq!(&distances[..all.len().min(2)], &all[..all.len().min(2)]);
             let mut found = Vec::new();
             tree.nearest_many(query, count, &mut found);
             let distances: Vec<f32> = found.iter().map(|one| one.distance_squared).collect();
@@ -288,6 +390,16 @@ mod tests {
             tree.within(query, 1.5, &mut found);
             prop_assert_eq!(found.len(), all.iter().filter(|one| **one < 2.25).count());
         }
+    }
+
+    #[test]
+    fn a_tree_that_grows_has_few_parts() {
+        let mut tree = KdTree::default();
+        for idx in 0..1000 {
+            tree.extend(&[[idx as f32, 0.0, 0.0]; 7]);
+            assert!(tree.parts.len() <= 13, "{}", tree.parts.len());
+        }
+        assert_eq!(tree.nearest([500.2, 0.0, 0.0], 1.0).unwrap().idx, 3500);
     }
 
     #[test]

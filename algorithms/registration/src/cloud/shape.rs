@@ -1,11 +1,10 @@
 //! A cloud made ready for alignment: thinned, centred, indexed, with the local shape.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
+use super::thin::{Cubes, Moments};
 use super::{Cloud, Descriptors};
-use crate::kd_tree::KdTree;
+use crate::kd_tree::{KdTree, Neighbour};
 
 /// Neighbours that a point's shape is estimated from.
 const NEIGHBOUR_COUNT: usize = 10;
@@ -21,7 +20,7 @@ pub(crate) const PLANE_THICKNESS: f64 = 1e-3;
 /// Points about their centroid with a k-d tree and their local shape.
 #[derive(Clone, Debug)]
 pub struct ShapedCloud {
-    /// The mean of the points, in the cloud's frame.
+    /// The mean of the points that it was made of, in the cloud's frame.
     pub(crate) centroid: Vector3<f64>,
     pub(crate) points: Vec<Vector3<f64>>,
     pub(crate) tree: KdTree,
@@ -31,6 +30,9 @@ pub struct ShapedCloud {
     pub(crate) spacing: f64,
     /// Root mean square distance from the centroid.
     pub(crate) radius: f64,
+    /// Of each point to the nearest other, where there is one.
+    gaps: Vec<f32>,
+    covariances: Vec<Matrix3<f64>>,
 }
 
 /// The neighbourhood of a point.
@@ -38,117 +40,172 @@ pub struct ShapedCloud {
 pub(crate) struct Shape {
     /// Where the neighbourhood is a surface.
     pub normal: Option<Vector3<f64>>,
-    /// Unit variance along the surface and little across, or round where there is no surface.
-    pub covariance: Matrix3<f64>,
-}
-
-impl Cloud {
-    /// One point per cube of this edge, the mean of the points in it; descriptors are those of
-    /// the first point in each cube.
-    pub fn thinned(&self, voxel_m: f64) -> Self {
-        let mut cubes: BTreeMap<[i64; 3], (Vector3<f64>, f64, usize)> = BTreeMap::new();
-        for (idx, point) in self.points.iter().enumerate() {
-            let cell = std::array::from_fn(|axis| (point[axis] / voxel_m).floor() as i64);
-            let cube = cubes.entry(cell).or_insert((Vector3::zeros(), 0.0, idx));
-            cube.0 += point;
-            cube.1 += 1.0;
-        }
-        let descriptors = match &self.descriptors {
-            Descriptors::None => Descriptors::None,
-            Descriptors::Binary(all) => {
-                Descriptors::Binary(cubes.values().map(|cube| all[cube.2]).collect())
-            }
-            Descriptors::Histogram(all) => {
-                Descriptors::Histogram(cubes.values().map(|cube| all[cube.2]).collect())
-            }
-        };
-        Self {
-            points: cubes.values().map(|(sum, count, _)| sum / *count).collect(),
-            descriptors,
-            dropped_count: self.dropped_count,
-        }
-    }
+    /// The point's own error alone, in squared spacings; zero where it is not known.
+    pub noise: Matrix3<f64>,
+    pub noise_known: bool,
 }
 
 impl ShapedCloud {
+    /// - `voxel_m`: the cloud is thinned to one point per cube of this edge, and all points in
+    ///   and around a cube tell the shape there; otherwise the nearest ten do.
     pub fn new(cloud: &Cloud, voxel_m: Option<f64>) -> Self {
-        let thinned = voxel_m
+        let cubes = voxel_m
             .filter(|voxel_m| *voxel_m > 0.0)
-            .map(|voxel_m| cloud.thinned(voxel_m));
+            .map(|voxel_m| Cubes::of(&cloud.points, voxel_m));
+        let thinned = cubes.as_ref().map(|cubes| cloud.by_cubes(cubes));
         let cloud = thinned.as_ref().unwrap_or(cloud);
         let count = cloud.points.len().max(1) as f64;
-        let centroid = cloud.points.iter().sum::<Vector3<f64>>() / count;
-        let points: Vec<_> = cloud.points.iter().map(|point| point - centroid).collect();
-        let single: Vec<[f32; 3]> = points.iter().map(to_single).collect();
-        let tree = KdTree::new(&single);
-        let (shapes, spacing) = shapes(&points, &tree);
-        let radius_squared = points.iter().map(Vector3::norm_squared).sum::<f64>() / count;
-        Self {
-            centroid,
-            points,
-            tree,
-            shapes,
-            descriptors: cloud.descriptors.clone(),
-            spacing,
-            radius: radius_squared.sqrt(),
-        }
+        let mut shaped = Self {
+            centroid: cloud.points.iter().sum::<Vector3<f64>>() / count,
+            points: Vec::new(),
+            tree: KdTree::default(),
+            shapes: Vec::new(),
+            descriptors: Descriptors::None,
+            spacing: 0.0,
+            radius: 0.0,
+            gaps: Vec::new(),
+            covariances: Vec::new(),
+        };
+        shaped.insert(cloud, cubes.map(|cubes| cubes.neighbourhoods()));
+        shaped.descriptors = cloud.descriptors.clone();
+        shaped
     }
 
     pub fn point_count(&self) -> usize {
         self.points.len()
     }
+
+    /// Whether the covariances of points are known.
+    pub(crate) fn knows_noise(&self) -> bool {
+        !self.covariances.is_empty()
+    }
+
+    /// Adds the points of a cloud in the same frame, such as the next chunk of a map; nothing is
+    /// built anew but the shapes next to them. Descriptors stay those of the first cloud.
+    ///
+    /// Cost: as for the new points alone, and log(map size) times their share of the index.
+    pub fn extend(&mut self, cloud: &Cloud) {
+        self.insert(cloud, None);
+    }
+
+    /// - `neighbourhoods`: what lies around each point; otherwise its neighbours tell.
+    fn insert(&mut self, cloud: &Cloud, neighbourhoods: Option<Vec<Moments>>) {
+        let old_count = self.points.len();
+        let points = cloud.points.iter().map(|point| point - self.centroid);
+        self.points.extend(points);
+        let single: Vec<[f32; 3]> = self.points[old_count..].iter().map(to_single).collect();
+        self.tree.extend(&single);
+        self.shapes.resize(self.points.len(), Shape::ROUND);
+        self.gaps.resize(self.points.len(), f32::INFINITY);
+        if !cloud.covariances.is_empty() {
+            self.covariances.resize(old_count, Matrix3::zeros());
+            self.covariances.extend_from_slice(&cloud.covariances);
+        }
+        let mut found = Vec::new();
+        let mut touched = Vec::new();
+        if let Some(around) = neighbourhoods.filter(|all| support_shapes(all)) {
+            self.shapes = around.iter().map(Shape::of).collect();
+            self.find_gaps();
+        } else {
+            for idx in old_count..self.points.len() {
+                self.find_neighbours(idx, &mut found);
+                touched.extend(found.iter().map(|one| one.idx as usize));
+                self.shapes[idx] = self.shape_of(&found);
+            }
+        }
+        touched.retain(|idx| *idx < old_count);
+        touched.sort_unstable();
+        touched.dedup();
+        for idx in touched {
+            self.find_neighbours(idx, &mut found);
+            self.shapes[idx] = self.shape_of(&found);
+        }
+        self.measure();
+        self.whiten();
+    }
+
+    /// What is known of the points' errors, in the unit of the shapes.
+    fn whiten(&mut self) {
+        let unit = self.spacing * self.spacing;
+        for (shape, covariance) in self.shapes.iter_mut().zip(&self.covariances) {
+            shape.noise = covariance / unit.max(f64::MIN_POSITIVE);
+            shape.noise_known = true;
+        }
+    }
+
+    fn find_gaps(&mut self) {
+        for (point, gap) in self.points.iter().zip(&mut self.gaps) {
+            let two = self.tree.nearest_two(to_single(point), f32::INFINITY);
+            *gap = two.second.distance_squared;
+        }
+    }
+
+    /// The nearest points, the point itself among them.
+    fn find_neighbours(&mut self, idx: usize, found: &mut Vec<Neighbour>) {
+        let query = to_single(&self.points[idx]);
+        self.tree.nearest_many(query, NEIGHBOUR_COUNT, found);
+        if let Some(second) = found.get(1) {
+            self.gaps[idx] = second.distance_squared;
+        }
+    }
+
+    fn shape_of(&self, neighbours: &[Neighbour]) -> Shape {
+        let points = neighbours.iter().map(|one| &self.points[one.idx as usize]);
+        Shape::of(&Moments::of(points))
+    }
+
+    fn measure(&mut self) {
+        let count = self.points.len().max(1) as f64;
+        let squares = self.points.iter().map(Vector3::norm_squared).sum::<f64>();
+        self.radius = (squares / count).sqrt();
+        let mut gaps = self.gaps.clone();
+        gaps.retain(|gap| gap.is_finite());
+        let middle = gaps.len() / 2;
+        self.spacing = if gaps.is_empty() {
+            0.0
+        } else {
+            let (_, median, _) = gaps.select_nth_unstable_by(middle, f32::total_cmp);
+            f64::from(*median).sqrt()
+        };
+    }
+}
+
+/// Whether cubes hold enough points to tell the shape at most places; where thinning has merged
+/// hardly any, the nearest points reach farther.
+fn support_shapes(neighbourhoods: &[Moments]) -> bool {
+    let supported = neighbourhoods
+        .iter()
+        .filter(|around| around.count >= NEIGHBOUR_COUNT as f64)
+        .count();
+    2 * supported > neighbourhoods.len()
 }
 
 pub(crate) fn to_single(point: &Vector3<f64>) -> [f32; 3] {
     [point.x as f32, point.y as f32, point.z as f32]
 }
 
-/// The shape of each point, and the median distance to the nearest other.
-fn shapes(points: &[Vector3<f64>], tree: &KdTree) -> (Vec<Shape>, f64) {
-    let mut found = Vec::new();
-    let mut distances = Vec::with_capacity(points.len());
-    let mut shapes = Vec::with_capacity(points.len());
-    for point in points {
-        tree.nearest_many(to_single(point), NEIGHBOUR_COUNT, &mut found);
-        if let Some(second) = found.get(1) {
-            distances.push(f64::from(second.distance_squared).sqrt());
-        }
-        shapes.push(shape(points, found.iter().map(|one| one.idx as usize)));
-    }
-    distances.sort_by(f64::total_cmp);
-    let spacing = distances.get(distances.len() / 2).copied().unwrap_or(0.0);
-    (shapes, spacing)
-}
-
-fn shape(points: &[Vector3<f64>], neighbours: impl Iterator<Item = usize> + Clone) -> Shape {
-    let round = Shape {
+impl Shape {
+    const ROUND: Self = Self {
         normal: None,
-        covariance: Matrix3::identity(),
+        noise: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        noise_known: false,
     };
-    let count = neighbours.clone().count();
-    if count < NEIGHBOUR_COUNT_MIN {
-        return round;
-    }
-    let mean = neighbours
-        .clone()
-        .map(|idx| points[idx])
-        .sum::<Vector3<f64>>()
-        / count as f64;
-    let mut scatter = Matrix3::zeros();
-    for idx in neighbours {
-        let offset = points[idx] - mean;
-        scatter += offset * offset.transpose();
-    }
-    let eigen = SymmetricEigen::new(scatter);
-    let mut order = [0, 1, 2];
-    order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
-    let [thin, middle, long] = order.map(|axis| eigen.eigenvalues[axis]);
-    if !(thin < SURFACE_FLATNESS * middle && middle > SURFACE_BREADTH * long) {
-        return round;
-    }
-    let normal = eigen.eigenvectors.column(order[0]).into_owned();
-    Shape {
-        normal: Some(normal),
-        covariance: Matrix3::identity() - normal * normal.transpose() * (1.0 - PLANE_THICKNESS),
+
+    fn of(around: &Moments) -> Self {
+        if around.count < NEIGHBOUR_COUNT_MIN as f64 {
+            return Self::ROUND;
+        }
+        let eigen = SymmetricEigen::new(around.scatter);
+        let mut order = [0, 1, 2];
+        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+        let [thin, middle, long] = order.map(|axis| eigen.eigenvalues[axis]);
+        if !(thin < SURFACE_FLATNESS * middle && middle > SURFACE_BREADTH * long) {
+            return Self::ROUND;
+        }
+        let normal = eigen.eigenvectors.column(order[0]).into_owned();
+        Self {
+            normal: Some(normal),
+            ..Self::ROUND
+        }
     }
 }

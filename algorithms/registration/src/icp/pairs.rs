@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 
 use crate::alignment::{Source, Target};
 use crate::cloud::{ShapedCloud, to_single};
+use crate::kd_tree::KdTree;
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pair {
@@ -14,76 +15,251 @@ pub(crate) struct Pair {
     pub distance_squared: f32,
 }
 
-/// The nearest target point of each source point, and with `both_ways` the nearest source point
-/// of each target point too, within `gate`.
-pub(crate) fn find_pairs(
-    source: &ShapedCloud,
-    target: &ShapedCloud,
-    target_from_source: &Similarity<Target, Source>,
-    gate: f64,
-    both_ways: bool,
-    pairs: &mut Vec<Pair>,
-) {
-    pairs.clear();
-    let limit = (gate * gate) as f32;
-    for (source_idx, point) in source.points.iter().enumerate() {
-        let query = to_single(&(*target_from_source * *point));
-        if let Some(found) = target.tree.nearest(query, limit) {
-            pairs.push(Pair {
-                source_idx: source_idx as u32,
-                target_idx: found.idx,
-                distance_squared: found.distance_squared,
-            });
+/// Points whose partners are sought again and again while they move little.
+///
+/// A partner stays the nearest as long as the way since the last search does not exceed what the
+/// second nearest was farther away; only then the index is asked again. So the pairs are exactly
+/// those of a search from scratch.
+#[derive(Clone, Debug)]
+struct Seekers {
+    /// The indices of the points that seek.
+    members: Vec<u32>,
+    states: Vec<Seeker>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Seeker {
+    /// Where the index was last asked.
+    asked_at: [f32; 3],
+    /// The nearest two, or `u32::MAX`.
+    nearest: [u32; 2],
+    /// Every other point than the nearest was at least so far away.
+    others_distance: f32,
+}
+
+impl Seekers {
+    fn new(members: Vec<u32>) -> Self {
+        let state = Seeker {
+            asked_at: [f32::INFINITY; 3],
+            nearest: [u32::MAX; 2],
+            others_distance: 0.0,
+        };
+        Self {
+            states: vec![state; members.len()],
+            members,
         }
     }
-    if !both_ways {
-        return;
+
+    /// About so many of them, evenly.
+    fn sampled(&self, count: usize) -> Self {
+        let stride = self.members.len().div_ceil(count).max(1);
+        Self::new(self.members.iter().copied().step_by(stride).collect())
     }
-    let source_from_target = target_from_source.inverse();
-    let scale_squared = (target_from_source.scale() * target_from_source.scale()) as f32;
-    for (target_idx, point) in target.points.iter().enumerate() {
-        let query = to_single(&(source_from_target * *point));
-        if let Some(found) = source.tree.nearest(query, limit / scale_squared) {
-            pairs.push(Pair {
-                source_idx: found.idx,
-                target_idx: target_idx as u32,
-                distance_squared: found.distance_squared * scale_squared,
-            });
+
+    /// Calls `found` with each point that has a partner within `gate`, the partner, and their
+    /// squared distance.
+    fn seek(
+        &mut self,
+        tree: &KdTree,
+        gate: f32,
+        place: impl Fn(usize) -> Vector3<f64>,
+        mut found: impl FnMut(u32, u32, f32),
+    ) {
+        for (member, state) in self.members.iter().zip(&mut self.states) {
+            let query = to_single(&place(*member as usize));
+            if let Some((partner, distance_squared)) = state.nearest(tree, query, gate) {
+                found(*member, partner, distance_squared);
+            }
         }
     }
 }
 
-/// The shares of the source and of the target that have a partner within `distance`; of the
-/// target only what lies in the box around the aligned source.
-pub(crate) fn overlaps(
+impl Seeker {
+    fn nearest(&mut self, tree: &KdTree, query: [f32; 3], gate: f32) -> Option<(u32, f32)> {
+        let way = squared(self.asked_at, query).sqrt();
+        let slack = self.others_distance - way;
+        let [first, second] = self.nearest;
+        if first == u32::MAX && gate <= slack {
+            return None;
+        }
+        if first != u32::MAX {
+            let distance_squared = squared(tree.point(first), query);
+            if slack > 0.0 && distance_squared <= slack * slack {
+                return (distance_squared < gate * gate).then_some((first, distance_squared));
+            }
+        }
+        let mut limit = gate * gate;
+        if second != u32::MAX {
+            // Both are still within this distance, so that the nearest two are.
+            let farther = squared(tree.point(first), query).max(squared(tree.point(second), query));
+            limit = limit.min(farther * (1.0 + 1e-5) + f32::MIN_POSITIVE);
+        }
+        let two = tree.nearest_two(query, limit);
+        *self = Self {
+            asked_at: query,
+            nearest: [two.first.idx, two.second.idx],
+            others_distance: two.second.distance_squared.sqrt() * (1.0 - 1e-6),
+        };
+        (two.first.idx != u32::MAX).then_some((two.first.idx, two.first.distance_squared))
+    }
+}
+
+fn squared(a: [f32; 3], b: [f32; 3]) -> f32 {
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    x * x + y * y + z * z
+}
+
+/// The pairs of two clouds, renewed as they move; nothing is allocated after the first time.
+#[derive(Clone, Debug)]
+pub(crate) struct Pairing {
+    of_source: Seekers,
+    of_target: Option<Seekers>,
+    pub pairs: Vec<Pair>,
+}
+
+impl Pairing {
+    /// Every source point seeks.
+    ///
+    /// - `reach`: target points within this of the source at the start seek too, evenly and no
+    ///   more of them than of the source's.
+    pub fn new(
+        source: &ShapedCloud,
+        target: &ShapedCloud,
+        target_from_source: &Similarity<Target, Source>,
+        reach: Option<f64>,
+    ) -> Self {
+        let of_source = Seekers::new((0..source.points.len() as u32).collect());
+        let of_target = reach.map(|reach| {
+            let (lowest, highest) = bounds(source, target_from_source, reach);
+            let members = (0..target.points.len() as u32)
+                .filter(|idx| is_between(&target.points[*idx as usize], &lowest, &highest));
+            Seekers::new(members.collect()).sampled(source.points.len())
+        });
+        Self::with(of_source, of_target)
+    }
+
+    fn with(of_source: Seekers, of_target: Option<Seekers>) -> Self {
+        let count = of_source.members.len();
+        let target_count = of_target
+            .as_ref()
+            .map_or(0, |seekers| seekers.members.len());
+        Self {
+            of_source,
+            of_target,
+            pairs: Vec::with_capacity(count + target_count),
+        }
+    }
+
+    /// From now on only source points seek.
+    pub fn keep_source_alone(&mut self) {
+        self.of_target = None;
+    }
+
+    /// The same of about so many points of each cloud.
+    pub fn sampled(&self, count: usize) -> Self {
+        let of_target = self.of_target.as_ref();
+        Self::with(
+            self.of_source.sampled(count),
+            of_target.map(|seekers| seekers.sampled(count)),
+        )
+    }
+
+    /// How many points seek a partner.
+    pub fn seeking_count(&self) -> usize {
+        let of_target = self.of_target.as_ref();
+        self.of_source.members.len() + of_target.map_or(0, |seekers| seekers.members.len())
+    }
+
+    /// The nearest target point of each source point within `gate`, and both ways the nearest
+    /// source point of each target point.
+    pub fn renew(
+        &mut self,
+        source: &ShapedCloud,
+        target: &ShapedCloud,
+        target_from_source: &Similarity<Target, Source>,
+        gate: f64,
+    ) {
+        let pairs = &mut self.pairs;
+        pairs.clear();
+        let linear = target_from_source.linear_matrix();
+        let translation = target_from_source.translation();
+        self.of_source.seek(
+            &target.tree,
+            gate as f32,
+            |idx| linear * source.points[idx] + translation,
+            |source_idx, target_idx, distance_squared| {
+                pairs.push(Pair {
+                    source_idx,
+                    target_idx,
+                    distance_squared,
+                });
+            },
+        );
+        let Some(of_target) = &mut self.of_target else {
+            return;
+        };
+        let back = target_from_source.inverse();
+        let linear = back.linear_matrix();
+        let scale = target_from_source.scale();
+        let scale_squared = (scale * scale) as f32;
+        of_target.seek(
+            &source.tree,
+            (gate / scale) as f32,
+            |idx| linear * target.points[idx] + back.translation(),
+            |target_idx, source_idx, distance_squared| {
+                pairs.push(Pair {
+                    source_idx,
+                    target_idx,
+                    distance_squared: distance_squared * scale_squared,
+                });
+            },
+        );
+    }
+}
+
+/// Points of a cloud at most that are asked whether they have a partner.
+const OVERLAP_POINT_COUNT: usize = 500;
+
+/// The share of the target in the box around the aligned source that has a partner within
+/// `distance`.
+pub(crate) fn overlap_of_target(
     source: &ShapedCloud,
     target: &ShapedCloud,
     target_from_source: &Similarity<Target, Source>,
     distance: f64,
-) -> (f64, f64) {
-    let limit = (distance * distance) as f32;
-    let scale_squared = (target_from_source.scale() * target_from_source.scale()) as f32;
+) -> f64 {
+    let (lowest, highest) = bounds(source, target_from_source, 0.0);
+    let back = target_from_source.inverse();
+    let limit = ((distance * back.scale()) as f32).powi(2);
+    let (mut near_count, mut boxed_count) = (0_usize, 0_usize);
+    let boxed = |point: &&Vector3<f64>| is_between(point, &lowest, &highest);
+    let in_box = target.points.iter().filter(boxed).count();
+    let stride = in_box.div_ceil(OVERLAP_POINT_COUNT).max(1);
+    for point in target.points.iter().filter(boxed).step_by(stride) {
+        boxed_count += 1;
+        let query = to_single(&(back * *point));
+        near_count += usize::from(source.tree.nearest(query, limit).is_some());
+    }
+    near_count as f64 / boxed_count.max(1) as f64
+}
+
+/// The corners of the box around the aligned source, `margin` larger on each side.
+fn bounds(
+    source: &ShapedCloud,
+    target_from_source: &Similarity<Target, Source>,
+    margin: f64,
+) -> (Vector3<f64>, Vector3<f64>) {
     let mut lowest = Vector3::repeat(f64::INFINITY);
     let mut highest = Vector3::repeat(f64::NEG_INFINITY);
-    let mut source_count = 0_usize;
+    let linear = target_from_source.linear_matrix();
     for point in &source.points {
-        let moved = *target_from_source * *point;
+        let moved = linear * point + target_from_source.translation();
         lowest = lowest.inf(&moved);
         highest = highest.sup(&moved);
-        source_count += usize::from(target.tree.nearest(to_single(&moved), limit).is_some());
     }
-    let source_from_target = target_from_source.inverse();
-    let (mut target_count, mut boxed_count) = (0_usize, 0_usize);
-    for point in &target.points {
-        if (0..3).any(|axis| point[axis] < lowest[axis] || point[axis] > highest[axis]) {
-            continue;
-        }
-        boxed_count += 1;
-        let query = to_single(&(source_from_target * *point));
-        target_count += usize::from(source.tree.nearest(query, limit / scale_squared).is_some());
-    }
-    (
-        source_count as f64 / source.points.len().max(1) as f64,
-        target_count as f64 / boxed_count.max(1) as f64,
-    )
+    (lowest.add_scalar(-margin), highest.add_scalar(margin))
+}
+
+fn is_between(point: &Vector3<f64>, lowest: &Vector3<f64>, highest: &Vector3<f64>) -> bool {
+    (0..3).all(|axis| lowest[axis] <= point[axis] && point[axis] <= highest[axis])
 }

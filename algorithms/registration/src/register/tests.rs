@@ -73,6 +73,8 @@ fn assert_near(found: &Similarity<Target, Source>, truth: &Similarity<Target, So
     }
 }
 
+mod honesty;
+
 const METRICS: [(Metric, f64); 3] = [
     (Metric::Point, 0.03),
     (Metric::Plane, 0.006),
@@ -216,6 +218,47 @@ fn a_plane_and_a_corridor_are_named_as_weak() {
     );
 }
 
+/// Goal: a pole with rings fixes where it stands, and nothing along and about it. Method: points
+/// on a cylinder a tenth as thick as long.
+#[test]
+fn a_single_pole_is_named_as_weak() {
+    let mut rng = ChaCha8Rng::seed_from_u64(14);
+    let mut pole = || {
+        cloud_of(3000, || {
+            let angle = std::f64::consts::TAU * rng.random::<f64>();
+            Vector3::new(
+                0.2 * angle.cos(),
+                0.2 * angle.sin(),
+                4.0 * rng.random::<f64>(),
+            )
+        })
+    };
+    let (source, target) = (pole(), pole());
+    for (metric, _) in METRICS {
+        for with_scale in [false, true] {
+            let settings = RegisterSettings {
+                metric,
+                with_scale,
+                ..RegisterSettings::default()
+            };
+            let reason = refusal(&source, &target, &settings);
+            let Refusal::WeakGeometry { directions } = reason else {
+                panic!("a pole is weak: {reason}");
+            };
+            let expected = [
+                "rotation about (0.00, 0.00, 1.00)",
+                "translation along (0.00, 0.00, 1.00)",
+            ];
+            assert!(
+                expected
+                    .iter()
+                    .all(|name| directions.iter().any(|one| one == name)),
+                "{directions:?}"
+            );
+        }
+    }
+}
+
 #[test]
 fn unrelated_and_tiny_clouds_are_refused() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
@@ -249,6 +292,67 @@ fn cloud_of(count: usize, mut point: impl FnMut() -> Vector3<f64>) -> Cloud {
     Cloud::from_points((0..count).map(|_| point()).collect())
 }
 
+/// Goal: a map that takes chunk after chunk serves as well as one that is made of all at once.
+#[test]
+fn a_map_that_grew_serves_as_one_made_at_once() {
+    let truth = truth(0.1, 0.1, 1.0);
+    let (source, target) = clouds(&truth, 15);
+    let source = ShapedCloud::new(&source, None);
+    let settings = RegisterSettings::default();
+    let chunks: Vec<Cloud> = target
+        .points()
+        .chunks(250)
+        .map(|chunk| Cloud::from_points(chunk.to_vec()))
+        .collect();
+    let mut grown = ShapedCloud::new(&chunks[0], None);
+    for chunk in &chunks[1..] {
+        grown.extend(chunk);
+    }
+    let whole = accepted(align(&source, &ShapedCloud::new(&target, None), &settings));
+    let grown = accepted(align(&source, &grown, &settings));
+    assert_near(&grown.target_from_source, &truth, 0.006);
+    let apart = whole.target_from_source.inverse() * grown.target_from_source;
+    assert!(apart.log().norm() < 1e-3, "{apart:?}");
+}
+
+/// Goal: points that are known badly pull less. Method: a third of the target is off by half a
+/// spacing to one side, and says so.
+#[test]
+fn points_with_large_covariances_pull_less() {
+    let truth = truth(0.05, 0.05, 1.0);
+    let (source, target) = clouds(&truth, 16);
+    let disturbed = |known: bool| {
+        let points = target.points().iter().enumerate().map(|(idx, point)| {
+            let is_off = idx % 3 == 0;
+            let sigma_m = if is_off && known { 0.05 } else { NOISE_M };
+            let shift = Vector3::new(0.04, 0.04, 0.04) * f64::from(u8::from(is_off));
+            (
+                point + shift,
+                nalgebra::Matrix3::identity() * sigma_m * sigma_m,
+            )
+        });
+        Cloud::with_covariances(points)
+    };
+    for metric in [Metric::Plane, Metric::Gicp] {
+        let errors_m = [true, false].map(|known| {
+            let settings = RegisterSettings {
+                metric,
+                ..RegisterSettings::default()
+            };
+            let found = accepted(register(&source, &disturbed(known), &settings));
+            let error = truth.inverse() * found.target_from_source;
+            error.translation().norm()
+        });
+        assert!(errors_m[0] < 0.8 * errors_m[1], "{metric:?}: {errors_m:?}");
+    }
+    let broken = Cloud::with_covariances([
+        (Vector3::zeros(), nalgebra::Matrix3::identity()),
+        (Vector3::zeros(), nalgebra::Matrix3::repeat(f64::NAN)),
+        (Vector3::repeat(f64::NAN), nalgebra::Matrix3::identity()),
+    ]);
+    assert_eq!((broken.points().len(), broken.dropped_count()), (1, 2));
+}
+
 /// Goal: clouds of equal extent and wholly different shape are refused, whichever is moved.
 #[test]
 fn different_shapes_are_refused() {
@@ -276,6 +380,12 @@ fn different_shapes_are_refused() {
     let noise: Vec<Cloud> = [1500, 1500, 5000]
         .map(|count| cloud_of(count, &mut centred))
         .into();
+    let few = cloud_of(400, &mut || centred() * 0.5);
+    let boxed = cloud_of(400, &mut || {
+        let point = centred();
+        point / point.amax() * 0.45
+    });
+    let small_noise = cloud_of(5000, &mut || centred() * 0.5);
     let (dense, sparse) = (blob(0.3, 8000, &mut centred), blob(0.3, 2000, &mut centred));
     let pairs = [
         ("grid, blob", grid(0.025), sparse.clone()),
@@ -283,6 +393,8 @@ fn different_shapes_are_refused() {
         ("sphere, box", on_sphere, on_box),
         ("noise, noise", noise[0].clone(), noise[1].clone()),
         ("noise, denser noise", noise[0].clone(), noise[2].clone()),
+        ("few, dense blob", few, blob(0.2, 5000, &mut centred)),
+        ("box, noise", boxed, small_noise),
         ("blob, blob", sparse, dense),
     ];
     for (name, first, second) in &pairs {
