@@ -91,11 +91,7 @@ struct RegisterSummary {
 
 pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
     let settings = RegisterSettings {
-        metric: match arguments.metric {
-            MetricArgument::Point => Metric::Point,
-            MetricArgument::Plane => Metric::Plane,
-            MetricArgument::Gicp => Metric::Gicp,
-        },
+        metric: settings_metric(arguments.metric),
         with_scale: arguments.with_scale,
         start: read_start(&arguments.init)?,
         voxel_m: arguments.voxel,
@@ -139,6 +135,14 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
         Outcome::Accepted(_) => Exit::Done,
         Outcome::Refused { .. } => Exit::Refused,
     })
+}
+
+fn settings_metric(metric: MetricArgument) -> Metric {
+    match metric {
+        MetricArgument::Point => Metric::Point,
+        MetricArgument::Plane => Metric::Plane,
+        MetricArgument::Gicp => Metric::Gicp,
+    }
 }
 
 /// The cloud without points that are not finite, and how many those were.

