@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
+use tests::measure::Verdict;
 use tests::measure::accuracy::{AccuracySettings, measure, place_table};
 use tests::measure::registration::{self, RegistrationSettings};
 use tests::measure::robustness::{Trial, draw, run_guarded};
@@ -170,9 +171,7 @@ fn robustness(arguments: &RobustnessArguments) -> Result<ExitCode> {
 }
 
 fn is_failed(trial: &Result<Trial, String>) -> bool {
-    trial
-        .as_ref()
-        .map_or(true, |trial| trial.verdict.is_wrong())
+    trial.as_ref().map_or(true, |trial| trial.fault().is_some())
 }
 
 fn described(campaign_seed: u64, run_idx: u64, trial: &Result<Trial, String>) -> String {
@@ -188,19 +187,27 @@ fn described(campaign_seed: u64, run_idx: u64, trial: &Result<Trial, String>) ->
     match trial {
         Err(panic) => format!("{what}: PANIC {panic}"),
         Ok(trial) => {
-            let verdict = &trial.verdict;
+            let fault = trial.fault().map(|fault| format!(" {fault}"));
             format!(
-                "{what}: {} of {} frames live, {} maps, worst {:.1} % of {:.2} m \
-                 (frame {}, map {}){}",
+                "{what}: {} of {} frames live, {}; {} in the end, {}{}",
                 trial.live_count,
                 trial.frame_count,
-                verdict.map_count,
-                100.0 * verdict.worst_share,
-                verdict.distance_m,
-                verdict.worst_frame_idx,
-                verdict.worst_map_id,
-                if verdict.is_wrong() { " WRONG" } else { "" }
+                judged(&trial.verdict),
+                trial.final_count,
+                judged(&trial.final_verdict),
+                fault.unwrap_or_default()
             )
         }
     }
+}
+
+fn judged(verdict: &Verdict) -> String {
+    format!(
+        "{} maps, worst {:.1} % of {:.2} m (frame {}, map {})",
+        verdict.map_count,
+        100.0 * verdict.worst_share,
+        verdict.distance_m,
+        verdict.worst_frame_idx,
+        verdict.worst_map_id
+    )
 }

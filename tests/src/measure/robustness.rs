@@ -3,10 +3,11 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use geometry::{Camera, Enu, Transform};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim::{Condition, Recording, RecordingSettings, RecordingWorld};
-use vslam::{Vslam, VslamSettings};
+use vslam::{TrajectoryEntry, Vslam, VslamSettings};
 
 use super::{LivePose, Verdict, verdict};
 
@@ -16,7 +17,24 @@ pub struct Trial {
     pub settings: RecordingSettings,
     pub frame_count: usize,
     pub live_count: usize,
+    /// Of the poses that were given at once.
     pub verdict: Verdict,
+    /// Frames that have a pose in the end.
+    pub final_count: usize,
+    /// Of the trajectory in the end: maps corrected and joined, and frames found afterwards.
+    pub final_verdict: Verdict,
+}
+
+impl Trial {
+    /// What was wrong, if anything was.
+    pub fn fault(&self) -> Option<&'static str> {
+        match (self.verdict.is_wrong(), self.final_verdict.is_wrong()) {
+            (false, false) => None,
+            (true, false) => Some("WRONG"),
+            (false, true) => Some("WRONG IN THE END"),
+            (true, true) => Some("WRONG, AND IN THE END"),
+        }
+    }
 }
 
 /// Each condition holds with this probability.
@@ -46,25 +64,44 @@ pub fn run(settings: &RecordingSettings) -> Trial {
     let recording = Recording::new(settings.clone());
     let mut vslam = Vslam::new(recording.camera().clone(), VslamSettings::default());
     let mut poses = Vec::new();
-    let mut frame_count = 0;
+    let mut truth = Vec::new();
     for frame in recording.frames() {
         let (report, _) = vslam.process(&frame.image, frame.captured_at);
         let pose = report.map_from_camera.map(|map_from_camera| LivePose {
-            frame_idx: frame_count,
+            frame_idx: truth.len(),
             map_id: report.map_id.0,
             map_revision: report.map_revision,
             map_from_camera,
             site_from_camera: frame.site_from_camera,
         });
         poses.extend(pose);
-        frame_count += 1;
+        truth.push(frame.site_from_camera);
     }
+    vslam.finish();
+    let final_poses = final_poses(&vslam, &truth);
     Trial {
         settings: settings.clone(),
-        frame_count,
+        frame_count: truth.len(),
         live_count: poses.len(),
         verdict: verdict(&poses),
+        final_count: final_poses.len(),
+        final_verdict: verdict(&final_poses),
     }
+}
+
+/// The trajectory as it is now, each map in one piece.
+fn final_poses(vslam: &Vslam, truth: &[Transform<Enu, Camera>]) -> Vec<LivePose> {
+    let entries = vslam.trajectory().into_iter().zip(truth).enumerate();
+    let pose = |(frame_idx, (entry, truth)): (usize, (TrajectoryEntry, &_))| {
+        Some(LivePose {
+            frame_idx,
+            map_id: entry.map_id.0,
+            map_revision: 0,
+            map_from_camera: entry.map_from_camera?,
+            site_from_camera: *truth,
+        })
+    };
+    entries.filter_map(pose).collect()
 }
 
 /// The same; `Err` has the message of a panic.
@@ -116,9 +153,11 @@ mod tests {
                 frame_count_max: Some(frame_count),
             };
             let trial = run(&settings);
-            assert!(!trial.verdict.is_wrong(), "{trial:?}");
+            assert!(trial.fault().is_none(), "{trial:?}");
             assert!(trial.verdict.map_count > 0, "{trial:?}");
+            assert!(trial.final_verdict.map_count > 0, "{trial:?}");
             assert!(3 * trial.live_count > trial.frame_count, "{trial:?}");
+            assert!(trial.final_count <= trial.frame_count, "{trial:?}");
         }
     }
 }
