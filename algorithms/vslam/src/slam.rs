@@ -47,7 +47,8 @@ use crate::{
 /// [`Vslam::track`] gives the pose, and [`Vslam::map_frame`] then does what the frame leaves to do
 /// for the map. A frame is tracked when the one before it is mapped.
 ///
-/// Deterministic: the same images give the same results, bit for bit, wherever they are extracted.
+/// Deterministic: the same images give the same results, bit for bit, wherever they are extracted
+/// and wherever [`VslamSettings::background`] runs.
 #[derive(Debug)]
 pub struct Vslam {
     optics: Optics,

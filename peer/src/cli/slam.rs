@@ -58,7 +58,8 @@ pub struct SlamArguments {
     #[arg(long)]
     pub realtime: bool,
     /// With more than one, the next image is decoded and searched for keypoints while the map
-    /// grows by the last one. The result does not depend on it.
+    /// grows by the last one, and the whole map is adjusted beside them. The result does not
+    /// depend on it.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: u16,
     /// Print one JSON object. Without a single tracked frame `tracked` is 0, the reason is on

@@ -1,7 +1,8 @@
 //! When a global adjustment is worked on, and when it counts.
 //!
-//! It counts a fixed number of frames after it began, no matter where and how fast the work was
-//! done: a recording gives the same trajectory on one thread and on several.
+//! It counts so many frames after it began as the size of the map says, those that became keyframes
+//! left out, no matter where and how fast the work was done: a recording gives the same trajectory
+//! on one thread and on several.
 
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Weak};

@@ -78,8 +78,8 @@ pub(crate) fn adjust_all(
 
 /// The window with its points and border, in the order of time.
 ///
-/// At least one keyframe is fixed. A young map has no border: then its scale is held by the
-/// damping alone, so that what the first two views got wrong is not fixed for ever.
+/// At least one keyframe is fixed. A young map has no border: then no second one is fixed either,
+/// so that what the first two views got wrong is not for ever; see [`keep_scale`].
 fn select(map: &VslamMap, window: &[KeyframeId]) -> Selection {
     // The others say nothing of where cameras are.
     let ranged = |point: &PointId| map.point(*point).is_some_and(MapPoint::has_range);

@@ -156,7 +156,7 @@ impl Motion {
     ) -> Option<Transform<Camera, Map>> {
         let moved = self.moved(at);
         let moved = match turn {
-            // The path of the camera stays, its axes are those that the gyroscope tells.
+            // The path of the camera stays, its axes are those that the turn tells.
             Some(turn) => Transform::new(turn, turn * -*moved.inverse().translation()),
             None => moved,
         };
