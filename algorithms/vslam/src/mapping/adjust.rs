@@ -222,11 +222,12 @@ fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewNam
         let keyframe = map
             .keyframe(*id)
             .expect("the selection holds the map's keyframes");
+        let is_placed = is_placed(map, keyframe);
         problem.poses.push(BundlePose {
             camera_from_map: keyframe.camera_from_map,
-            fixed: fixed || !is_placed(map, keyframe),
+            fixed: fixed || !is_placed,
         });
-        placed.push(is_placed(map, keyframe));
+        placed.push(is_placed);
     }
     for (point_idx, id) in selection.points.iter().enumerate() {
         let point = map
