@@ -78,7 +78,10 @@ impl AnchorRole {
             self.map_revision = mapped.map_revision;
             events.push_back(AnchorEvent::KeyframesMoved(keyframe_poses(map)));
         }
-        if let Some(map_from_camera) = mapped.map_from_keyframe.or(report.map_from_camera) {
+        // A keyframe without a pose of its frame was followed by directions: its place is not
+        // measured.
+        if let Some(tracked) = report.map_from_camera {
+            let map_from_camera = mapped.map_from_keyframe.unwrap_or(tracked);
             events.push_back(AnchorEvent::Frame(FrameInput {
                 captured_at: report.captured_at,
                 map_from_camera,
