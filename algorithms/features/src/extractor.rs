@@ -114,7 +114,7 @@ impl Extractor {
         &self.settings
     }
 
-    /// Full-resolution pixels per pixel of this level.
+    /// Image pixels per pixel of this level.
     pub fn level_scale(&self, level: u8) -> f64 {
         self.settings.scale(usize::from(level))
     }

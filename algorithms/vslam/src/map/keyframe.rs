@@ -16,7 +16,8 @@ pub struct Observation {
     pub position_px: Vector2<f64>,
     /// One standard deviation of each coordinate of `position`, in its unit.
     pub sigma: f64,
-    /// Level of the pyramid on which it was found; 0 is the full resolution.
+    /// Level of the pyramid on which it was found; 0 is the finest, to which small images are
+    /// enlarged.
     pub level: u8,
     pub angle_rad: f32,
     pub descriptor: Descriptor,
