@@ -16,8 +16,6 @@ use crate::{KeyframeId, MapPoint, PointId, VslamMap};
 const NEIGHBOURS: usize = 3;
 /// A pose that fewer descriptors agree on may be a coincidence.
 const INLIERS_MIN: usize = 12;
-/// A place counts as recognised if this many keypoints agree in the end.
-const RECOGNISED_INLIERS_MIN: usize = 40;
 /// Keyframes tried per frame because they look alike.
 const RANKED_CANDIDATES: usize = 4;
 /// The pose of a frame that looks at much the same as a keyframe, by descriptors alone. Names the
@@ -147,5 +145,5 @@ fn confirm(
     match_local_map(optics, map, &local, pose, frame);
     let fit = refine(map, pose, frame, INLIERS_MIN, None)?;
     let tracked = track_local_map(optics, map, frame, &fit.camera_from_map, None).ok()?;
-    (tracked.ranged_count >= RECOGNISED_INLIERS_MIN).then_some(tracked)
+    tracked.is_certain().then_some(tracked)
 }

@@ -23,6 +23,8 @@ use crate::optics::Optics;
 use crate::relocalise::locate_near;
 use crate::{KeyframeId, LostReason, Observation, PointId, VslamMap};
 
+/// Fewer points of known range are no pose of a camera that may be anywhere.
+const RECOGNISED_INLIERS_MIN: usize = 40;
 /// Fewer keypoints that agree with the map are no pose.
 pub(crate) const INLIERS_MIN: usize = 25;
 /// Fewer keypoints that agree with the last frame's points are no start for the local map.
@@ -120,6 +122,11 @@ pub(crate) fn track(
 }
 
 impl Tracked {
+    /// Whether a lost camera may be taken to be there: nothing else speaks for it.
+    pub(crate) fn is_certain(&self) -> bool {
+        self.is_placed && self.ranged_count >= RECOGNISED_INLIERS_MIN
+    }
+
     /// A pose that says where the camera is counts for more than one by many keypoints.
     fn rank(&self) -> (bool, usize) {
         (self.is_placed, self.inlier_count)
@@ -205,4 +212,24 @@ pub(crate) fn track_local_map(
         is_placed: are_placing(map, &fit.camera_from_map, &frame.observations),
         reference,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_points_that_tell_no_place_are_not_enough() {
+        let found = |is_placed, ranged_count| Tracked {
+            camera_from_map: Transform::identity(),
+            covariance: None,
+            inlier_count: 300,
+            ranged_count,
+            is_placed,
+            reference: KeyframeId(0),
+        };
+        assert!(found(true, RECOGNISED_INLIERS_MIN).is_certain());
+        assert!(!found(false, 5 * RECOGNISED_INLIERS_MIN).is_certain());
+        assert!(!found(true, RECOGNISED_INLIERS_MIN - 1).is_certain());
+    }
 }

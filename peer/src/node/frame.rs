@@ -92,7 +92,7 @@ impl Node {
             Role::Peer(role) => {
                 // Mapping may have joined the map to another.
                 role.enter_map(mapped.map_id);
-                role.follow_map(&mapped, self.slam.map());
+                role.follow_map((&report, &mapped), self.slam.map());
             }
             Role::Anchor(role) => {
                 let mut outlet = Outlet {

@@ -12,7 +12,7 @@ use registration::{
     AnchorIdx, ChunkIdx, Estimate, KeyframeIdx, KeyframeObservation, Landmark, Localizer,
     LocalizerSettings, ObservedFeature, ObservedPoint,
 };
-use vslam::{Keyframe, KeyframeId, MappingReport, VslamMap};
+use vslam::{FrameReport, Keyframe, KeyframeId, MappingReport, VslamMap};
 
 use super::places::{Place, Places};
 
@@ -127,8 +127,9 @@ impl PeerRole {
         self.own_map = Some(map_id);
     }
 
-    /// Follows the own map, and registers a new keyframe.
-    pub fn follow_map(&mut self, mapped: &MappingReport, map: &VslamMap) {
+    /// Follows the own map, and registers a new keyframe, unless its frame has no pose of its own
+    /// and was only followed by directions.
+    pub fn follow_map(&mut self, (report, mapped): (&FrameReport, &MappingReport), map: &VslamMap) {
         let corrected = self.map_revision != mapped.map_revision;
         let new_keyframe = mapped.new_keyframe.and_then(|id| map.keyframe(id));
         if corrected {
@@ -141,7 +142,7 @@ impl PeerRole {
             let poses = poses.map(|known| (keyframe_idx(known.id()), known.map_from_camera()));
             self.localizer.keyframes_moved(poses);
         }
-        let Some(keyframe) = new_keyframe else {
+        let Some(keyframe) = new_keyframe.filter(|_| report.map_from_camera.is_some()) else {
             return;
         };
         let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));

@@ -23,9 +23,6 @@ const FRAMES_MAX: usize = 600;
 const GROWTH_KEYFRAMES: usize = 3;
 /// Tries while the camera goes on; the end has one more.
 const TRIES_MAX: u32 = 4;
-/// Nobody follows on from a frame that is found late, and so nobody would notice a bad pose: more
-/// keypoints must agree than while tracking, and they must tell where the camera was.
-const INLIERS_MIN: usize = 40;
 /// A frame with a pose this many frames away says where to look first.
 const NEAR_FRAMES: usize = 5;
 
@@ -188,18 +185,14 @@ fn locate(
         });
         track(search.optics, map, &motion, frame, search.rng).ok()
     });
-    let by_time = by_time.filter(is_certain);
+    let by_time = by_time.filter(Tracked::is_certain);
     let tracked = by_time.or_else(|| {
         frame.forget_points();
         let index = (search.optics, search.places);
         let found = search.relocaliser.locate(index, map, frame, search.rng);
-        found.filter(is_certain)
+        found.filter(Tracked::is_certain)
     })?;
     map.place(tracked.reference, &tracked.camera_from_map)
-}
-
-fn is_certain(tracked: &Tracked) -> bool {
-    tracked.is_placed && tracked.ranged_count >= INLIERS_MIN
 }
 
 impl Keypoint {
@@ -224,28 +217,5 @@ impl Keypoint {
             descriptor: self.descriptor,
             point: None,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use geometry::Transform;
-
-    use super::*;
-    use crate::KeyframeId;
-
-    #[test]
-    fn many_points_that_tell_no_place_are_not_enough() {
-        let found = |is_placed, ranged_count| Tracked {
-            camera_from_map: Transform::identity(),
-            covariance: None,
-            inlier_count: 300,
-            ranged_count,
-            is_placed,
-            reference: KeyframeId(0),
-        };
-        assert!(is_certain(&found(true, INLIERS_MIN)));
-        assert!(!is_certain(&found(false, 5 * INLIERS_MIN)));
-        assert!(!is_certain(&found(true, INLIERS_MIN - 1)));
     }
 }
