@@ -15,6 +15,9 @@ const SAMPLE_COUNT: usize = 200;
 const SAMPLE_COUNT_OF_POINTS: usize = 500;
 /// How far points are moved to see that, in spacings.
 const TRIAL_SPACINGS: f64 = 0.5;
+/// Nor are they turned (radians) or stretched (logarithm) by more, where the whole cloud is smaller
+/// than the other's spacing.
+const TRIAL_TURN_MAX: f64 = 0.5;
 /// Points that slide keep this share of their hold at least.
 const HOLD_MIN: f64 = 0.05;
 /// Pairs within cubes of this many spacings share their normals and the bend of their surface.
@@ -101,7 +104,8 @@ impl Icp {
         };
         let hessian = sum_at(&Tangent7::zeros()).hessian;
         let step_m = TRIAL_SPACINGS * source.spacing.max(target.spacing / alignment.scale());
-        let steps = [step_m / source.radius, step_m, step_m / source.radius];
+        let turn = (step_m / source.radius).min(TRIAL_TURN_MAX);
+        let steps = [turn, step_m, turn];
         let mut change = Matrix7::zeros();
         for axis in 0..freedom {
             let mut step = Tangent7::zeros();

@@ -288,6 +288,24 @@ fn unrelated_and_tiny_clouds_are_refused() {
     );
 }
 
+/// Goal: clouds in units a million times apart are refused, where a trial step that moves the
+/// source by the target's spacing would stretch it beyond all numbers.
+#[test]
+fn a_cloud_smaller_than_the_gaps_of_the_other_is_refused() {
+    let mut rng = ChaCha8Rng::seed_from_u64(17);
+    let target = Cloud::from_points(corner(800, &mut rng));
+    let tiny = corner(400, &mut rng).into_iter().map(|point| point * 1e-6);
+    let tiny = Cloud::from_points(tiny.collect());
+    for (metric, _) in METRICS {
+        let settings = RegisterSettings {
+            metric,
+            with_scale: true,
+            ..RegisterSettings::default()
+        };
+        refusal(&tiny, &target, &settings);
+    }
+}
+
 fn cloud_of(count: usize, mut point: impl FnMut() -> Vector3<f64>) -> Cloud {
     Cloud::from_points((0..count).map(|_| point()).collect())
 }
