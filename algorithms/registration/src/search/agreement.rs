@@ -8,7 +8,7 @@ use crate::alignment::{Source, Target};
 
 /// The 99.9 % bound of χ² with seven degrees of freedom.
 const TORN_CHI_SQUARED: f64 = 24.3;
-/// Each correspondence is compared with the source points of so many others.
+/// Each source point is compared with the target points of so many other correspondences.
 const SHUFFLE_COUNT: usize = 8;
 
 /// Correspondences in agreement, and their noise.
@@ -115,11 +115,38 @@ pub(crate) fn chance(
     for (idx, pair) in pairs.iter().enumerate() {
         let moved = *alignment * pair.in_source;
         for turn in 1..=SHUFFLE_COUNT {
-            // Steps of different lengths, so that neighbours in the list do not decide.
-            let other = &pairs[(idx + turn * turn * 7) % pairs.len()];
+            // Steps of different lengths, so that neighbours in the list do not decide, and none
+            // that comes back to where it began.
+            let step = (turn * turn * 7 % pairs.len()).max(1);
+            let other = &pairs[(idx + step) % pairs.len()];
             agreeing += usize::from((other.in_target - moved).norm() <= inlier_distance);
         }
     }
     let tried = (pairs.len() * SHUFFLE_COUNT).max(1);
     (agreeing.max(1) as f64 / tried as f64).min(0.99)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Goal: correspondences are not compared with themselves. Method: points far apart, in numbers
+    /// that share factors with the steps; none agrees with another's partner, and the least that
+    /// can be told is one of all that were tried.
+    #[test]
+    fn what_agrees_with_itself_is_no_chance() {
+        for count in [7, 14, 28, 112] {
+            let pair = |idx: usize| {
+                let place = Vector3::new(idx as f64, 0.0, 0.0);
+                Correspondence {
+                    in_target: place,
+                    in_source: place,
+                }
+            };
+            let pairs: Vec<Correspondence> = (0..count).map(pair).collect();
+            let found = chance(&pairs, &Similarity::identity(), 0.1);
+            let least = 1.0 / (count * SHUFFLE_COUNT) as f64;
+            assert!((found - least).abs() < 1e-12, "{count}: {found}");
+        }
+    }
 }
