@@ -144,6 +144,24 @@ fn what_is_wrong_is_named() {
     assert!(parse(&damaged).is_err());
 }
 
+/// Goal: members that fit one by one, but not together, are refused before they are unpacked.
+#[test]
+fn archives_that_unpack_to_too_much_are_refused() {
+    let mut bytes = npz(&[("a", points()), ("b", points()), ("c", points())], true);
+    let entries: Vec<usize> = (0..bytes.len())
+        .filter(|place| bytes[*place..].starts_with(b"PK\x01\x02"))
+        .collect();
+    assert_eq!(entries.len(), 3);
+    for entry in entries {
+        bytes[entry + 24..entry + 28].copy_from_slice(&0x7fff_ffff_u32.to_le_bytes());
+    }
+    let refused = parse(&bytes).unwrap_err();
+    let error = refused
+        .into_error(std::path::Path::new("a.npz"))
+        .to_string();
+    assert!(error.contains("unpacks to"), "{error}");
+}
+
 /// Goal: no damage makes the reader panic. Method: each byte in turn is changed.
 #[test]
 fn damage_is_refused_or_read() {

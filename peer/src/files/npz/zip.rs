@@ -10,6 +10,9 @@ const END_SIZE_BYTES: usize = 22;
 const COMMENT_SIZE_BYTES_MAX: usize = 65_535;
 /// Larger members are not read: a cloud of ten million points has 1.3 GB of descriptors.
 const MEMBER_SIZE_BYTES_MAX: usize = 2 << 30;
+/// Nor are archives whose members are larger together: members may share their packed bytes, so
+/// that a small file would fill the memory.
+const ARCHIVE_SIZE_BYTES_MAX: u64 = 4 << 30;
 /// Stands for a number that only fits in the 64-bit fields.
 const IN_ZIP64: usize = u32::MAX as usize;
 
@@ -46,6 +49,11 @@ pub fn members(bytes: &[u8]) -> Result<Vec<Member>, String> {
             header_offset_bytes: u32_at(bytes, offset + 42)?,
         });
         offset += 46 + name_size + extra_size + comment_size;
+    }
+    let sizes = members.iter().map(|member| member.size_bytes as u64);
+    let size_bytes: u64 = sizes.sum();
+    if size_bytes > ARCHIVE_SIZE_BYTES_MAX {
+        return Err(format!("unpacks to {size_bytes} bytes, which are too many"));
     }
     Ok(members)
 }
