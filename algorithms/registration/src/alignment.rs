@@ -104,7 +104,7 @@ pub struct Quality {
     pub normal_agreement: Option<f64>,
     /// How far the points are from their partners, relative to elsewhere nearby (squared).
     pub residual_contrast: f64,
-    /// Directions that the geometry does not fix, in words.
+    /// Directions that the geometry does not fix, in words, along the source's axes.
     pub weak_directions: Vec<String>,
     /// What the search found; `None` without one.
     pub evidence: Option<Evidence>,

@@ -66,7 +66,7 @@ impl Cloud {
 
     /// A cloud whose points are known to these covariances, such as those of a map.
     ///
-    /// A point without a usable one, finite and not negative, is dropped with it.
+    /// A point without a usable one, finite and with no negative variance, is dropped with it.
     pub fn with_covariances(
         points: impl IntoIterator<Item = (Vector3<f64>, Matrix3<f64>)>,
     ) -> Self {

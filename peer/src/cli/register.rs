@@ -35,7 +35,7 @@ pub struct RegisterArguments {
     #[arg(long)]
     pub z_up: bool,
     /// Thin both clouds to one point per cube of this edge; without it, clouds of more than
-    /// 30000 points are thinned to about 5000.
+    /// 30000 points are thinned to about 5000, two such alike unless the scale is free.
     #[arg(long, value_name = "M", value_parser = parse_positive)]
     pub voxel: Option<f64>,
     /// Points farther apart are not paired.
@@ -174,7 +174,7 @@ const POINT_COUNT_MAX: usize = 30_000;
 const POINT_COUNT_THINNED: usize = 5000;
 
 /// The cubes that source and target are thinned by: those asked for, else those that large clouds
-/// need. Clouds of one scale get the same, so that their points are equally dense.
+/// need. Two large clouds of one scale get the same, so that their points are equally dense.
 fn choose_voxels(
     source: &Cloud,
     target: &Cloud,

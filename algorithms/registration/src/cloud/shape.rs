@@ -83,7 +83,8 @@ impl ShapedCloud {
     /// Adds the points of a cloud in the same frame, such as the next chunk of a map; nothing is
     /// built anew but the shapes next to them. Descriptors stay those of the first cloud.
     ///
-    /// Cost: as for the new points alone, and log(map size) times their share of the index.
+    /// Cost: as for the new points alone, log(map size) times their share of the index, and one
+    /// pass over all points for the radius and the spacing.
     pub fn extend(&mut self, cloud: &Cloud) {
         self.insert(cloud, None);
     }

@@ -194,31 +194,20 @@ impl Cloud {
     }
 
     /// One point per cube of this edge, the mean of the points in it; descriptors are those of
-    /// the first point in each cube.
+    /// the first point in each cube, and covariances are lost.
     pub fn thinned(&self, voxel_m: f64) -> Self {
         self.by_cubes(&Cubes::of(&self.points, voxel_m))
     }
 
     pub(super) fn by_cubes(&self, cubes: &Cubes) -> Self {
-        let chosen = |idx: &usize| *idx;
         let descriptors = match &self.descriptors {
             Descriptors::None => Descriptors::None,
-            Descriptors::Binary(all) => Descriptors::Binary(
-                cubes
-                    .firsts
-                    .iter()
-                    .map(chosen)
-                    .map(|idx| all[idx])
-                    .collect(),
-            ),
-            Descriptors::Histogram(all) => Descriptors::Histogram(
-                cubes
-                    .firsts
-                    .iter()
-                    .map(chosen)
-                    .map(|idx| all[idx])
-                    .collect(),
-            ),
+            Descriptors::Binary(all) => {
+                Descriptors::Binary(cubes.firsts.iter().map(|idx| all[*idx]).collect())
+            }
+            Descriptors::Histogram(all) => {
+                Descriptors::Histogram(cubes.firsts.iter().map(|idx| all[*idx]).collect())
+            }
         };
         Self {
             points: cubes.moments.iter().map(|cube| cube.mean).collect(),

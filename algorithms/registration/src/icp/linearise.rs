@@ -225,7 +225,8 @@ mod tests {
     use crate::icp::pairs::Pairing;
 
     /// Goal: the gradient is that of the cost. Method: central differences of the cost over all
-    /// seven axes, in each metric, with pairs and weights held.
+    /// seven axes, with pairs and weights held, in the two metrics whose information does not turn
+    /// with the source.
     #[test]
     fn gradient_agrees_with_differences() {
         let grid = |count: usize| {

@@ -130,7 +130,8 @@ fn large_clouds_are_thinned_alike_unless_told_otherwise() {
 }
 
 /// Goal: two laser scans come within 0.02 m and 0.1° of the truth, by both metrics of surfaces,
-/// thinned to 0.25 m and without being told how to thin.
+/// thinned to 0.25 m and without being told how to thin; planes alone, untold, within 0.04 m and
+/// 0.25°.
 #[test]
 fn two_laser_scans_come_near_the_truth() {
     let Some(data) = std::env::var_os("STARLING_DATA") else {
