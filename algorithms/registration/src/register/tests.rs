@@ -296,14 +296,17 @@ fn a_cloud_smaller_than_the_gaps_of_the_other_is_refused() {
     let target = Cloud::from_points(corner(800, &mut rng));
     let tiny = corner(400, &mut rng).into_iter().map(|point| point * 1e-6);
     let tiny = Cloud::from_points(tiny.collect());
-    for (metric, _) in METRICS {
-        let settings = RegisterSettings {
-            metric,
-            with_scale: true,
-            ..RegisterSettings::default()
-        };
+    for settings in free_scale_by_each_metric() {
         refusal(&tiny, &target, &settings);
     }
+}
+
+fn free_scale_by_each_metric() -> impl Iterator<Item = RegisterSettings> {
+    METRICS.iter().map(|(metric, _)| RegisterSettings {
+        metric: *metric,
+        with_scale: true,
+        ..RegisterSettings::default()
+    })
 }
 
 fn cloud_of(count: usize, mut point: impl FnMut() -> Vector3<f64>) -> Cloud {
@@ -479,12 +482,7 @@ fn rough_but_true_pairs_are_accepted() {
 fn a_cloud_that_would_have_to_collapse_is_refused() {
     let truth = truth(0.0, 0.0, 0.2);
     let (source, target) = clouds(&truth, 10);
-    for (metric, _) in METRICS {
-        let settings = RegisterSettings {
-            metric,
-            with_scale: true,
-            ..RegisterSettings::default()
-        };
+    for settings in free_scale_by_each_metric() {
         refusal(&source, &target, &settings);
     }
 }
