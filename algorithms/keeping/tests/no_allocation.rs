@@ -1,9 +1,8 @@
 //! Goal: neither a step of either rule nor an image allocates anything, not even the first.
-//! Method: an allocator that counts each thread's allocations, so that the tests may run side by
-//! side; nothing in this crate starts a thread.
+//! Method: a counting allocator; nothing in this crate starts a thread.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+#[path = "../../test_support/counting_allocator.rs"]
+mod counting_allocator;
 
 use camera::{CameraModel, Distortion, Image, Intrinsics};
 use geometry::Timestamp;
@@ -19,28 +18,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim::marker_light::MarkerScene;
 
-struct Counting;
-
-thread_local! {
-    static ALLOCATION_COUNT: Cell<usize> = const { Cell::new(0) };
-}
-
-// SAFETY: everything is passed on to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATION_COUNT.set(ALLOCATION_COUNT.get() + 1);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+use counting_allocator::allocation_count;
 
 /// More neighbours than are followed, so that the full lists are exercised too.
 const NEIGHBOUR_COUNT: usize = 200;
@@ -69,7 +47,7 @@ fn no_step_costs_an_allocation() {
     let views = [FieldOfView::all_but_rear()];
     let rule = PaperRule::new(PaperRuleSettings::default());
     let mut keeper = Keeper::new(KeeperSettings::default());
-    let before = ALLOCATION_COUNT.get();
+    let before = allocation_count();
     for step in 0..10 {
         keeper.step(
             &Perception {
@@ -87,7 +65,7 @@ fn no_step_costs_an_allocation() {
             range_m: sighting.range.low_m,
         }));
     }
-    assert_eq!(ALLOCATION_COUNT.get(), before);
+    assert_eq!(allocation_count(), before);
 }
 
 #[test]
@@ -130,7 +108,7 @@ fn no_image_costs_an_allocation() {
         clearance_m: 1.0,
     }];
     let mut followed_count = 0;
-    let before = ALLOCATION_COUNT.get();
+    let before = allocation_count();
     let mut pair_count = 0;
     // Each picture stands for a while, so that tracks are believed.
     let stills = images.iter().flat_map(|image| [image; 5]);
@@ -141,7 +119,7 @@ fn no_image_costs_an_allocation() {
         let command = follower.step(camera.tracks(), &obstacles, 0.05);
         followed_count += usize::from(command.seen.is_some());
     }
-    let after = ALLOCATION_COUNT.get();
+    let after = allocation_count();
     assert!(pair_count > 100, "{pair_count}");
     assert!(followed_count > 5, "{followed_count}");
     assert_eq!(after, before);

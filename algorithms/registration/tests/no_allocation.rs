@@ -1,33 +1,14 @@
 //! Goal: an alignment allocates for its clouds, not for its iterations.
-//! Method: a counting allocator, alone in this process; few iterations against many.
+//! Method: a counting allocator; few iterations against many.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+#[path = "../../test_support/counting_allocator.rs"]
+mod counting_allocator;
 
 use geometry::Similarity;
 use nalgebra::{UnitQuaternion, Vector3};
 use registration::{Cloud, Metric, Outcome, RegisterSettings, ShapedCloud, Start, align};
 
-struct Counting;
-
-static ALLOCATION_COUNT: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: everything is passed on to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATION_COUNT.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+use counting_allocator::allocation_count;
 
 /// Three walls of a corner with a step, in rows that do not repeat.
 fn corner(count: usize) -> Vec<Vector3<f64>> {
@@ -63,9 +44,9 @@ fn iterations_cost_no_allocation() {
                     start: Start::Given(Similarity::new(1.0, turn, Vector3::zeros())),
                     ..RegisterSettings::default()
                 };
-                let before = ALLOCATION_COUNT.load(Ordering::Relaxed);
+                let before = allocation_count();
                 let outcome = align(&source, &target, &settings);
-                let allocation_count = ALLOCATION_COUNT.load(Ordering::Relaxed) - before;
+                let allocation_count = self::allocation_count() - before;
                 let Outcome::Accepted(alignment) = outcome else {
                     panic!("{metric:?}, scale {with_scale}: {outcome:?}");
                 };
