@@ -41,18 +41,17 @@ pub(crate) fn partner_distance(source: &ShapedCloud, target: &ShapedCloud, scale
     PARTNER_SPACINGS * (source.spacing * scale).max(target.spacing).max(1e-9)
 }
 
-/// Measures how well the clouds agree after the iteration; the pairs become those within the
-/// distance that partners are sought at.
+/// Measures how well the clouds agree after the iteration.
 pub(crate) fn measure(
     source: &ShapedCloud,
     target: &ShapedCloud,
-    icp: &mut Icp,
+    icp: &Icp,
     metric: Metric,
     with_scale: bool,
 ) -> Quality {
     let alignment = &icp.target_from_source;
     let width = partner_distance(source, target, alignment.scale());
-    let pairing = &mut icp.pairing;
+    let mut pairing = icp.pairing.clone();
     pairing.keep_source_alone();
     pairing.renew(source, target, alignment, width);
     let pairs = &pairing.pairs;

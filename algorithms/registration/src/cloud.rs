@@ -1,5 +1,6 @@
 //! A set of points as it comes from a file or a map.
 
+mod axes;
 mod shape;
 mod thin;
 
@@ -138,7 +139,8 @@ fn retained<T>(list: Vec<T>, usable: &[bool]) -> Vec<T> {
 /// Coordinates beyond this could not be squared and summed in single precision.
 const COORDINATE_LIMIT: f64 = 1e9;
 
-fn is_usable(point: &Vector3<f64>) -> bool {
+/// Whether a point can be part of a cloud: finite, and not absurdly far.
+pub fn is_usable(point: &Vector3<f64>) -> bool {
     point
         .iter()
         .all(|coordinate| coordinate.abs() < COORDINATE_LIMIT)

@@ -14,7 +14,7 @@ pub mod search;
 pub use alignment::{
     Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target,
 };
-pub use cloud::{Cloud, Descriptors, ShapedCloud};
+pub use cloud::{Cloud, Descriptors, ShapedCloud, is_usable};
 pub use evidence::{Clue, Evidence};
 pub use gravity::Gravity;
 pub use localizer::{

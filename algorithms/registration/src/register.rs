@@ -44,7 +44,7 @@ pub fn align(source: &ShapedCloud, target: &ShapedCloud, settings: &RegisterSett
     };
     let start = centred(source, target, &given);
     match iterate(source, target, &start, &icp_settings(settings)) {
-        Some(mut icp) => verdict(source, target, &mut icp, None, settings),
+        Some(icp) => verdict(source, target, &icp, None, settings),
         None => nothing_nearby(),
     }
 }
@@ -58,7 +58,7 @@ fn align_found(
     found: &Found,
     settings: &RegisterSettings,
 ) -> Outcome {
-    let Some(mut refined) = iterate(source, target, &found.start, &icp_settings(settings)) else {
+    let Some(refined) = iterate(source, target, &found.start, &icp_settings(settings)) else {
         return nothing_nearby();
     };
     let is_trusted = found.agreement.is_none()
@@ -66,7 +66,7 @@ fn align_found(
             && !refined.scale_bounded
             && !found.contradicts(&refined.target_from_source));
     if is_trusted {
-        let outcome = verdict(source, target, &mut refined, Some(found), settings);
+        let outcome = verdict(source, target, &refined, Some(found), settings);
         let is_weak = matches!(
             outcome,
             Outcome::Refused {
@@ -78,13 +78,13 @@ fn align_found(
             return outcome;
         }
     }
-    let mut kept = Icp {
+    let kept = Icp {
         target_from_source: found.start,
         converged: true,
         scale_bounded: false,
         ..refined
     };
-    verdict(source, target, &mut kept, Some(found), settings)
+    verdict(source, target, &kept, Some(found), settings)
 }
 
 fn icp_settings(settings: &RegisterSettings) -> IcpSettings {
@@ -107,17 +107,13 @@ fn nothing_nearby() -> Outcome {
 fn verdict(
     source: &ShapedCloud,
     target: &ShapedCloud,
-    icp: &mut Icp,
+    icp: &Icp,
     found: Option<&Found>,
     settings: &RegisterSettings,
 ) -> Outcome {
     let by_correspondences = found
         .filter(|found| found.start == icp.target_from_source)
         .and_then(|found| found.agreement.as_ref());
-    let covariance = match by_correspondences {
-        Some(agreement) => agreement.covariance(&icp.target_from_source, settings.with_scale),
-        None => icp.covariance(source, target, settings.metric, settings.with_scale),
-    };
     let mut quality = measure(source, target, icp, settings.metric, settings.with_scale);
     quality.evidence = found.map(|found| found.evidence);
     if by_correspondences.is_some() {
@@ -125,8 +121,12 @@ fn verdict(
         quality.weak_directions.clear();
     }
     let verdict = judge(source, target, icp, &quality).and_then(|()| judge_evidence(&quality));
-    match (verdict, covariance) {
-        (Ok(()), Some(covariance)) => {
+    let covariance = verdict.map(|()| match by_correspondences {
+        Some(agreement) => agreement.covariance(&icp.target_from_source, settings.with_scale),
+        None => icp.covariance(source, target, settings.metric, settings.with_scale),
+    });
+    match covariance {
+        Ok(Some(covariance)) => {
             // S = T(c_t) S' T(−c_s): the step at the centred source moves along by T(c_s).
             let shift =
                 Transform::<Source, Source>::new(UnitQuaternion::identity(), source.centroid);
@@ -137,11 +137,11 @@ fn verdict(
                 quality,
             }))
         }
-        (Err(reason), _) => Outcome::Refused {
+        Err(reason) => Outcome::Refused {
             reason,
             quality: Some(quality),
         },
-        (Ok(()), None) => Outcome::Refused {
+        Ok(None) => Outcome::Refused {
             reason: Refusal::NotConverged,
             quality: Some(quality),
         },

@@ -9,7 +9,7 @@ use geometry::{Matrix7, Similarity};
 use nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
 use registration::{
     Alignment, Cloud, Gravity, Metric, Outcome, Quality, RegisterSettings, ShapedCloud, Source,
-    Start, Target,
+    Start, Target, is_usable,
 };
 use serde::Serialize;
 
@@ -44,6 +44,10 @@ pub struct RegisterArguments {
     /// The result does not depend on it; more than one prepares both clouds at once.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: u16,
+    /// Do it all so often, for times that are medians; the first time in a process is slower.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..))]
+    pub repeat: u16,
     /// A picture of both clouds before and after, PNG or SVG.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
@@ -79,7 +83,7 @@ struct RegisterSummary {
     correspondences: Option<usize>,
     consistent: Option<usize>,
     runner_up: Option<usize>,
-    /// Points of both clouds that are not finite.
+    /// Points of both clouds that are not finite, or beyond 10⁹ m.
     dropped_points: usize,
     /// What the target was thinned to.
     voxel_m: Option<f64>,
@@ -106,24 +110,21 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
         check_picture_name(path).map_err(UsageError::because)?;
         files::check_destination(path)?;
     }
-    let (source, source_dropped) = read_finite(&arguments.source)?;
-    let (target, target_dropped) = read_finite(&arguments.target)?;
+    let (source, source_dropped) = read_usable(&arguments.source)?;
+    let (target, target_dropped) = read_usable(&arguments.target)?;
 
-    let started = Instant::now();
-    let voxels_m = choose_voxels(&source, &target, arguments);
-    let (prepared_source, prepared_target) =
-        prepare_both(&source, &target, voxels_m, arguments.threads);
-    let ms_preprocess = started.elapsed().as_secs_f64() * 1e3;
-    let started = Instant::now();
-    let outcome = registration::register::align(&prepared_source, &prepared_target, &settings);
-    let ms_align = started.elapsed().as_secs_f64() * 1e3;
-
+    let Timed {
+        outcome,
+        voxel_m,
+        ms_preprocess,
+        ms_align,
+    } = align_repeatedly(&source, &target, &settings, arguments);
     if let Some(path) = &arguments.plot {
         plot_of(&source, &target, &settings.start, &outcome).write(path)?;
     }
     let summary = RegisterSummary {
         dropped_points: source_dropped + target_dropped,
-        voxel_m: voxels_m[1],
+        voxel_m,
         ..summarise(&outcome, ms_preprocess, ms_align)
     };
     if arguments.json {
@@ -137,6 +138,48 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
     })
 }
 
+/// What a registration gave, and the medians of how long its parts took.
+struct Timed {
+    outcome: Outcome,
+    /// What the target was thinned to.
+    voxel_m: Option<f64>,
+    ms_preprocess: f64,
+    ms_align: f64,
+}
+
+fn align_repeatedly(
+    source: &Cloud,
+    target: &Cloud,
+    settings: &RegisterSettings,
+    arguments: &RegisterArguments,
+) -> Timed {
+    let mut times_ms = [Vec::new(), Vec::new()];
+    let once = |times_ms: &mut [Vec<f64>; 2]| {
+        let started = Instant::now();
+        let voxels_m = choose_voxels(source, target, arguments);
+        let (source, target) = prepare_both(source, target, voxels_m, arguments.threads);
+        times_ms[0].push(started.elapsed().as_secs_f64() * 1e3);
+        let started = Instant::now();
+        let outcome = registration::register::align(&source, &target, settings);
+        times_ms[1].push(started.elapsed().as_secs_f64() * 1e3);
+        (outcome, voxels_m[1])
+    };
+    let (outcome, voxel_m) = once(&mut times_ms);
+    for _ in 1..arguments.repeat {
+        once(&mut times_ms);
+    }
+    let [ms_preprocess, ms_align] = times_ms.map(|mut times_ms| {
+        times_ms.sort_by(f64::total_cmp);
+        times_ms[times_ms.len() / 2]
+    });
+    Timed {
+        outcome,
+        voxel_m,
+        ms_preprocess,
+        ms_align,
+    }
+}
+
 fn settings_metric(metric: MetricArgument) -> Metric {
     match metric {
         MetricArgument::Point => Metric::Point,
@@ -145,36 +188,33 @@ fn settings_metric(metric: MetricArgument) -> Metric {
     }
 }
 
-/// The cloud without points that are not finite, and how many those were.
-fn read_finite(path: &Path) -> anyhow::Result<(Cloud, usize)> {
+/// The cloud without points that no cloud can have, and how many those were.
+fn read_usable(path: &Path) -> anyhow::Result<(Cloud, usize)> {
     let cloud = files::read_cloud(path)?;
-    let is_finite = |point: &Vector3<f64>| point.iter().all(|value| value.is_finite());
-    let mut dropped = cloud
-        .points
-        .iter()
-        .enumerate()
-        .filter(|(_, point)| !is_finite(point))
-        .map(|(point_idx, _)| point_idx);
-    let first_idx = dropped.next();
-    let dropped_count = first_idx.map_or(0, |_| 1 + dropped.count());
+    let first_idx = cloud.points.iter().position(|point| !is_usable(point));
+    let point_count = cloud.points.len();
+    let cloud = cloud.into_cloud();
+    let dropped_count = cloud.dropped_count();
     if let Some(first_idx) = first_idx {
         output::diagnose(&format!(
-            "warning: {dropped_count} of {} points are not finite and were left out, the first \
-             is point {first_idx}, counted from zero: {}",
-            cloud.points.len(),
+            "warning: {dropped_count} of {point_count} points are not finite, or beyond 10⁹ m, \
+             and were left out, the first is point {first_idx}, counted from zero: {}",
             path.display()
         ));
     }
-    Ok((cloud.into_cloud(), dropped_count))
+    Ok((cloud, dropped_count))
 }
 
 /// Scans with more points than this are dense where it does not help, and slow.
 const POINT_COUNT_MAX: usize = 30_000;
 /// What such scans are thinned to.
 const POINT_COUNT_THINNED: usize = 5000;
+/// Cubes are at most so many times as large as the smaller of two clouds needs.
+const VOXEL_RATIO_MAX: f64 = 2.0;
 
 /// The cubes that source and target are thinned by: those asked for, else those that large clouds
-/// need. Two large clouds of one scale get the same, so that their points are equally dense.
+/// need. Two large clouds of one scale get the same, so that their points are equally dense; a
+/// cloud of far less extent than the other decides, as there would be little left of it.
 fn choose_voxels(
     source: &Cloud,
     target: &Cloud,
@@ -188,7 +228,10 @@ fn choose_voxels(
         is_large.then(|| cloud.voxel_leaving(POINT_COUNT_THINNED))?
     });
     match needed {
-        [Some(first), Some(second)] if !arguments.with_scale => [Some(first.max(second)); 2],
+        [Some(first), Some(second)] if !arguments.with_scale => {
+            let shared_m = first.max(second).min(VOXEL_RATIO_MAX * first.min(second));
+            [Some(shared_m); 2]
+        }
         needed => needed,
     }
 }

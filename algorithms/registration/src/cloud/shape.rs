@@ -1,7 +1,8 @@
 //! A cloud made ready for alignment: thinned, centred, indexed, with the local shape.
 
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
+use super::axes::{eigenvalues, eigenvector};
 use super::thin::{Cubes, Moments};
 use super::{Cloud, Descriptors};
 use crate::kd_tree::{KdTree, Neighbour};
@@ -14,6 +15,8 @@ const NEIGHBOUR_COUNT_MIN: usize = 6;
 const SURFACE_FLATNESS: f64 = 0.5;
 /// Its middle side must be above this share of the longest, else it is a line (squared).
 const SURFACE_BREADTH: f64 = 0.02;
+/// So many points of a thinned cloud tell its spacing.
+const GAP_COUNT: usize = 1000;
 /// Variance across a surface relative to along it, in generalised ICP.
 pub(crate) const PLANE_THICKNESS: f64 = 1e-3;
 
@@ -30,7 +33,7 @@ pub struct ShapedCloud {
     pub(crate) spacing: f64,
     /// Root mean square distance from the centroid.
     pub(crate) radius: f64,
-    /// Of each point to the nearest other, where there is one.
+    /// Squared distances of points to the nearest other; infinite where not known.
     gaps: Vec<f32>,
     covariances: Vec<Matrix3<f64>>,
 }
@@ -134,8 +137,11 @@ impl ShapedCloud {
         }
     }
 
+    /// Of some points, evenly.
     fn find_gaps(&mut self) {
-        for (point, gap) in self.points.iter().zip(&mut self.gaps) {
+        let stride = self.points.len().div_ceil(GAP_COUNT).max(1);
+        let places = self.points.iter().zip(&mut self.gaps).step_by(stride);
+        for (point, gap) in places {
             let two = self.tree.nearest_two(to_single(point), f32::INFINITY);
             *gap = two.second.distance_squared;
         }
@@ -145,8 +151,9 @@ impl ShapedCloud {
     fn find_neighbours(&mut self, idx: usize, found: &mut Vec<Neighbour>) {
         let query = to_single(&self.points[idx]);
         self.tree.nearest_many(query, NEIGHBOUR_COUNT, found);
-        if let Some(second) = found.get(1) {
-            self.gaps[idx] = second.distance_squared;
+        // Points that a file has twice are no neighbours.
+        if let Some(next) = found.iter().find(|one| one.distance_squared > 0.0) {
+            self.gaps[idx] = next.distance_squared;
         }
     }
 
@@ -196,16 +203,12 @@ impl Shape {
         if around.count < NEIGHBOUR_COUNT_MIN as f64 {
             return Self::ROUND;
         }
-        let eigen = SymmetricEigen::new(around.scatter);
-        let mut order = [0, 1, 2];
-        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
-        let [thin, middle, long] = order.map(|axis| eigen.eigenvalues[axis]);
+        let [thin, middle, long] = eigenvalues(&around.scatter);
         if !(thin < SURFACE_FLATNESS * middle && middle > SURFACE_BREADTH * long) {
             return Self::ROUND;
         }
-        let normal = eigen.eigenvectors.column(order[0]).into_owned();
         Self {
-            normal: Some(normal),
+            normal: eigenvector(&around.scatter, thin),
             ..Self::ROUND
         }
     }

@@ -26,6 +26,8 @@ pub(super) struct Cubes {
 struct Keys {
     per_m: f64,
     lowest: [f64; 3],
+    /// How many bits number the cubes along each axis.
+    bits: [u32; 3],
 }
 
 /// A grid has at most so many cubes along an axis; smaller cubes are made larger.
@@ -49,14 +51,22 @@ impl Keys {
         let (lowest, highest) = bounds(points);
         let extent = (highest - lowest).amax();
         let per_m = 1.0 / edge_m.max(extent / CUBE_COUNT_MAX);
-        Self {
+        let lowest = lowest.map(|one| (one * per_m).floor());
+        let keys = Self {
             per_m,
-            lowest: std::array::from_fn(|axis| (lowest[axis] * per_m).floor()),
+            lowest: lowest.into(),
+            bits: [0; 3],
+        };
+        let count_of = |key: i64| u64::BITS - (key as u64).leading_zeros();
+        Self {
+            bits: keys.key(&highest).map(count_of),
+            ..keys
         }
     }
 
     fn key(&self, point: &Vector3<f64>) -> [i64; 3] {
-        std::array::from_fn(|axis| ((point[axis] * self.per_m).floor() - self.lowest[axis]) as i64)
+        // No point lies below the lowest cube, so that leaving out the digits rounds down.
+        std::array::from_fn(|axis| (point[axis] * self.per_m - self.lowest[axis]) as i64)
     }
 
     /// In the order of the keys.
@@ -64,6 +74,58 @@ impl Keys {
         let [x, y, z] = self.key(point).map(|one| u128::from(one as u32));
         (x << 64) | (y << 32) | z
     }
+
+    /// The points in the order of the keys, and in their own within a cube.
+    fn sorted(&self, points: &[Vector3<f64>]) -> Vec<u32> {
+        let [x_bits, y_bits, z_bits] = self.bits;
+        if x_bits + y_bits + z_bits <= u32::BITS {
+            // Key above, index below: one number sorts by both.
+            let number = |(point, idx): (&Vector3<f64>, u64)| {
+                let [x, y, z] = self.key(point).map(|one| one as u64);
+                (((((x << y_bits) | y) << z_bits) | z) << 32) | idx
+            };
+            let all = points.iter().zip(0_u64..).map(number).collect();
+            let all = sorted_above(all, x_bits + y_bits + z_bits);
+            return all.into_iter().map(|one| one as u32).collect();
+        }
+        let mut all: Vec<(u128, u32)> = points
+            .iter()
+            .zip(0_u32..)
+            .map(|(point, idx)| (self.packed(point), idx))
+            .collect();
+        all.sort_unstable();
+        all.into_iter().map(|(_, idx)| idx).collect()
+    }
+}
+
+/// Digits of a number that are sorted by at once.
+const DIGIT_BITS: u32 = 9;
+
+/// Sorts by the `bit_count` bits above the lower 32, digit by digit from the least; what is equal
+/// in them stays in order.
+fn sorted_above(mut all: Vec<u64>, bit_count: u32) -> Vec<u64> {
+    let mut other = vec![0; all.len()];
+    for digit in 0..bit_count.div_ceil(DIGIT_BITS) {
+        let place_of = |one: u64| {
+            let shift = u32::BITS + digit * DIGIT_BITS;
+            (one >> shift) as usize & ((1 << DIGIT_BITS) - 1)
+        };
+        let mut starts = [0; 1 << DIGIT_BITS];
+        for one in &all {
+            starts[place_of(*one)] += 1;
+        }
+        let mut start = 0;
+        for count in &mut starts {
+            start += std::mem::replace(count, start);
+        }
+        for one in &all {
+            let place = &mut starts[place_of(*one)];
+            other[*place] = *one;
+            *place += 1;
+        }
+        std::mem::swap(&mut all, &mut other);
+    }
+    all
 }
 
 fn bounds(points: &[Vector3<f64>]) -> (Vector3<f64>, Vector3<f64>) {
@@ -83,14 +145,30 @@ impl Moments {
         scatter: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     };
 
-    pub fn of<'a>(points: impl Iterator<Item = &'a Vector3<f64>> + Clone) -> Self {
-        let count = points.clone().count() as f64;
-        let mean = points.clone().sum::<Vector3<f64>>() / count;
-        let offsets = points.map(|point| point - mean);
+    pub fn of<'a>(mut points: impl Iterator<Item = &'a Vector3<f64>>) -> Self {
+        let Some(first) = points.next() else {
+            return Self::EMPTY;
+        };
+        // About the first point, which is near the mean, so that little is lost to rounding.
+        let (mut count, mut sum) = (1.0, Vector3::zeros());
+        let [mut xx, mut xy, mut xz, mut yy, mut yz, mut zz] = [0.0; 6];
+        for point in points {
+            let offset = point - first;
+            count += 1.0;
+            sum += offset;
+            xx += offset.x * offset.x;
+            xy += offset.x * offset.y;
+            xz += offset.x * offset.z;
+            yy += offset.y * offset.y;
+            yz += offset.y * offset.z;
+            zz += offset.z * offset.z;
+        }
+        let mean = sum / count;
+        let squares = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
         Self {
             count,
-            mean,
-            scatter: offsets.map(|offset| offset * offset.transpose()).sum(),
+            mean: first + mean,
+            scatter: squares - mean * sum.transpose(),
         }
     }
 
@@ -112,24 +190,18 @@ impl Moments {
 impl Cubes {
     pub fn of(points: &[Vector3<f64>], edge_m: f64) -> Self {
         let keys = Keys::over(points, edge_m);
-        // Key above, index below: one number sorts by both.
-        let mut order: Vec<u128> = points
-            .iter()
-            .zip(0_u128..)
-            .map(|(point, idx)| (keys.packed(point) << 32) | idx)
-            .collect();
-        order.sort_unstable();
-        let idx_of = |one: &u128| (*one & u128::from(u32::MAX)) as usize;
+        let order = keys.sorted(points);
         let mut cubes = Self {
             keys: Vec::new(),
             moments: Vec::new(),
             firsts: Vec::new(),
         };
-        for cube in order.chunk_by(|a, b| a >> 32 == b >> 32) {
-            cubes.keys.push(keys.key(&points[idx_of(&cube[0])]));
-            let members = cube.iter().map(|one| &points[idx_of(one)]);
+        let key_of = |idx: &u32| keys.key(&points[*idx as usize]);
+        for cube in order.chunk_by(|a, b| key_of(a) == key_of(b)) {
+            cubes.keys.push(key_of(&cube[0]));
+            let members = cube.iter().map(|idx| &points[*idx as usize]);
             cubes.moments.push(Moments::of(members));
-            cubes.firsts.push(idx_of(&cube[0]));
+            cubes.firsts.push(cube[0] as usize);
         }
         cubes
     }
@@ -220,6 +292,8 @@ impl Cloud {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     /// Points of a wavy floor, denser towards its middle.
@@ -248,6 +322,37 @@ mod tests {
             spot.thinned(spot.voxel_leaving(10).unwrap()).points.len(),
             1
         );
+    }
+
+    proptest! {
+        #[test]
+        fn sorting_by_digits_is_sorting(
+            keys in prop::collection::vec(0_u64..1 << 32, 0..300),
+            bit_count in 0_u32..=32,
+        ) {
+            let all: Vec<u64> = keys
+                .iter()
+                .zip(0_u64..)
+                .map(|(key, idx)| ((key & ((1 << bit_count) - 1)) << 32) | idx)
+                .collect();
+            let mut expected = all.clone();
+            expected.sort_unstable();
+            prop_assert_eq!(sorted_above(all, bit_count), expected);
+        }
+    }
+
+    /// Goal: cubes too many for one number are the same as those that fit.
+    #[test]
+    fn fine_cubes_are_in_order_too() {
+        let cloud = floor(500);
+        for edge_m in [0.3, 1e-7] {
+            let cubes = Cubes::of(&cloud.points, edge_m);
+            assert!(cubes.keys.is_sorted());
+            let count: f64 = cubes.moments.iter().map(|cube| cube.count).sum();
+            assert_eq!(count, 500.0);
+        }
+        let fine = Keys::over(&cloud.points, 1e-7);
+        assert!(fine.bits.iter().sum::<u32>() > 32, "{:?}", fine.bits);
     }
 
     /// Goal: what lies around a cube is what a look at all points finds.

@@ -20,6 +20,9 @@ const TRIAL_SPACINGS: f64 = 0.5;
 const TRIAL_TURN_MAX: f64 = 0.5;
 /// Points that slide keep this share of their hold at least.
 const HOLD_MIN: f64 = 0.05;
+/// Up to the first number of clusters these do not tell how much their pairs have in common; from
+/// the second on they do.
+const CLUSTER_COUNTS: [f64; 2] = [7.0, 21.0];
 /// Pairs within cubes of this many spacings share their normals and the bend of their surface.
 const CLUSTER_SPACINGS: f64 = 8.0;
 
@@ -40,28 +43,26 @@ impl Icp {
     ) -> Option<Matrix7> {
         let alignment = &self.target_from_source;
         let edge = CLUSTER_SPACINGS * target.spacing.max(source.spacing * alignment.scale());
-        let mut clustered: Vec<([i32; 3], Pair)> = Vec::with_capacity(self.pairing.pairs.len());
-        clustered.extend(self.pairing.pairs.iter().map(|pair| {
+        let all = &self.pairing.pairs;
+        let mut clustered: Vec<(u64, u32)> = Vec::with_capacity(all.len());
+        clustered.extend(all.iter().zip(0..).map(|(pair, idx)| {
             let place = &target.points[pair.target_idx as usize];
-            (cube(place, edge), *pair)
+            (cube(place, edge), idx)
         }));
-        clustered.sort_unstable_by_key(|(cube, pair)| (*cube, pair.source_idx, pair.target_idx));
-        let pairs: Vec<Pair> = clustered.iter().map(|(_, pair)| *pair).collect();
+        clustered.sort_unstable();
+        let pairs: Vec<Pair> = clustered.iter().map(|one| all[one.1 as usize]).collect();
         let mut sums = Sums::default();
-        let mut spread = Matrix7::zeros();
-        let mut cluster = Tangent7::zeros();
-        let mut cluster_count = 0;
-        let mut idx = 0;
+        let mut spread = Spread::default();
+        let mut clusters = clustered.chunk_by(|a, b| a.0 == b.0).map(<[_]>::len);
+        let mut left_count = 0;
         let collect = |term: Term| {
             sums.add(&term);
-            cluster += term.gradient();
-            let next = clustered.get(idx + 1);
-            if next.is_none_or(|next| next.0 != clustered[idx].0) {
-                spread += cluster * cluster.transpose();
-                cluster.fill(0.0);
-                cluster_count += 1;
+            if left_count == 0 {
+                left_count = clusters.next().unwrap_or(usize::MAX);
+                spread.begin_cluster();
             }
-            idx += 1;
+            left_count -= 1;
+            spread.add(&term.gradient());
         };
         terms(
             source,
@@ -72,15 +73,12 @@ impl Icp {
             self.kernel,
             collect,
         );
-        let turned = step_in_target(alignment);
-        let spread = turned.transpose() * spread * turned;
         let normal = sums.assemble(alignment);
         let freedom = if with_scale { 7 } else { 6 };
-        // What the fit itself has taken up of the spread, as the jackknife counts it.
-        let rest = (f64::from(cluster_count) - freedom as f64).max(1.0);
-        let unbiased = (f64::from(cluster_count) / rest).powi(2);
+        let turned = step_in_target(alignment);
+        let spread = turned.transpose() * spread.estimate(freedom) * turned;
         let given = self.hold(source, target, metric, freedom);
-        sandwich(&normal.hessian, &given, &(spread * unbiased), freedom)
+        sandwich(&normal.hessian, &given, &spread, freedom)
     }
 
     /// How the gradient changes as the clouds move and partners are chosen anew, by differences,
@@ -117,8 +115,54 @@ impl Icp {
     }
 }
 
-fn cube(point: &Vector3<f64>, edge: f64) -> [i32; 3] {
-    std::array::from_fn(|axis| (point[axis] / edge).floor() as i32)
+/// What the gradients of all pairs add up to by chance.
+#[derive(Default)]
+struct Spread {
+    of_clusters: Matrix7,
+    of_pairs: Matrix7,
+    pair_count: f64,
+    cluster_count: f64,
+    cluster: Tangent7,
+}
+
+impl Spread {
+    fn begin_cluster(&mut self) {
+        self.of_clusters += self.cluster * self.cluster.transpose();
+        self.cluster.fill(0.0);
+        self.cluster_count += 1.0;
+    }
+
+    fn add(&mut self, gradient: &Tangent7) {
+        self.cluster += gradient;
+        self.of_pairs += gradient * gradient.transpose();
+        self.pair_count += 1.0;
+    }
+
+    /// Of few clusters, whose sums nearly cancel out where the fit ended, the pairs are taken to
+    /// have all in common instead.
+    fn estimate(mut self, freedom: usize) -> Matrix7 {
+        self.begin_cluster();
+        let cluster_count = self.cluster_count - 1.0;
+        // What the fit itself has taken up of the spread, as the jackknife counts it.
+        let rest = (cluster_count - freedom as f64).max(1.0);
+        let unbiased = self.of_clusters * (cluster_count / rest).powi(2);
+        let in_common = self.of_pairs * (self.pair_count / cluster_count.max(1.0));
+        let [few, enough] = CLUSTER_COUNTS;
+        let doubt = ((enough - cluster_count) / (enough - few)).clamp(0.0, 1.0);
+        unbiased * (1.0 - doubt) + in_common * doubt
+    }
+}
+
+/// Cubes are numbered along an axis by so many bits, from the middle; those beyond are one.
+const CUBE_BITS: u32 = 21;
+
+fn cube(point: &Vector3<f64>, edge: f64) -> u64 {
+    let middle = f64::from(1_u32 << (CUBE_BITS - 1));
+    point.iter().fold(0, |number, value| {
+        // Casts saturate, at zero too.
+        let along = (value / edge + middle) as u64;
+        (number << CUBE_BITS) | along.min((1 << CUBE_BITS) - 1)
+    })
 }
 
 /// `F⁻¹ B F⁻¹` over the first `freedom` directions, where `F` is the Hessian times the share of
@@ -145,4 +189,45 @@ fn sandwich(
     all.view_mut((0, 0), (freedom, freedom))
         .copy_from(&covariance);
     Some((all + all.transpose()) * 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// So many clusters of ten equal gradients along one axis each, and what they say of the axes.
+    fn variances(cluster_count: usize) -> Tangent7 {
+        let mut spread = Spread::default();
+        for cluster in 0..cluster_count {
+            spread.begin_cluster();
+            for _ in 0..10 {
+                spread.add(&Tangent7::ith(cluster % 7, 1.0));
+            }
+        }
+        spread.estimate(6).diagonal()
+    }
+
+    /// Goal: what pairs have in common counts, whether there are clusters enough to tell or not.
+    #[test]
+    fn pairs_that_agree_are_no_more_certain_together() {
+        for (cluster_count, unbiased) in [(7, 1.0), (700, (700.0_f64 / 694.0).powi(2))] {
+            let each = 100.0 * unbiased * (cluster_count / 7) as f64;
+            let found = variances(cluster_count);
+            assert!((found - Tangent7::repeat(each)).amax() < 1e-9, "{found}");
+        }
+    }
+
+    /// Goal: clusters that cancel out, as few do where a fit ended, do not seem certain.
+    #[test]
+    fn two_opposite_clusters_are_doubted() {
+        let mut spread = Spread::default();
+        for side in [1.0, -1.0] {
+            spread.begin_cluster();
+            for axis in 0..7 {
+                spread.add(&Tangent7::ith(axis, side));
+            }
+        }
+        let doubted = spread.estimate(6);
+        assert!(doubted.symmetric_eigenvalues().min() > 1.0, "{doubted}");
+    }
 }

@@ -206,14 +206,8 @@ pub(crate) fn step_in_target(target_from_source: &Similarity<Target, Source>) ->
 /// The cross product of a vector with each column.
 #[inline]
 fn crossed(vector: &Vector3<f64>, matrix: &Matrix3<f64>) -> Matrix3<f64> {
-    let [x, y, z] = [vector.x, vector.y, vector.z];
-    let row = |idx: usize| matrix.row(idx).into_owned();
-    let (first, second, third) = (row(0), row(1), row(2));
-    Matrix3::from_rows(&[
-        third * y - second * z,
-        first * z - third * x,
-        second * x - first * y,
-    ])
+    let column = |idx: usize| vector.cross(&matrix.column(idx));
+    Matrix3::from_columns(&[column(0), column(1), column(2)])
 }
 
 #[cfg(test)]

@@ -486,3 +486,22 @@ fn a_cloud_that_would_have_to_collapse_is_refused() {
         refusal(&source, &target, &settings);
     }
 }
+
+/// Goal: a file that has each point twice is the cloud that has it once.
+#[test]
+fn points_given_twice_do_no_harm() {
+    let truth = truth(0.1, 0.1, 1.0);
+    let (source, target) = clouds(&truth, 11);
+    let [source, target] = [source, target].map(|cloud| {
+        let twice = cloud.points().iter().flat_map(|point| [*point; 2]);
+        Cloud::from_points(twice.collect())
+    });
+    for (metric, limit) in METRICS {
+        let settings = RegisterSettings {
+            metric,
+            ..RegisterSettings::default()
+        };
+        let alignment = accepted(register(&source, &target, &settings));
+        assert_near(&alignment.target_from_source, &truth, limit);
+    }
+}

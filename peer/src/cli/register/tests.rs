@@ -59,6 +59,7 @@ fn arguments(source: impl Into<PathBuf>, target: impl Into<PathBuf>) -> Register
         voxel: None,
         max_distance: None,
         threads: 1,
+        repeat: 2,
         plot: None,
         json: true,
     }
@@ -99,12 +100,12 @@ fn a_refused_registration_says_why_and_fails() {
 }
 
 #[test]
-fn points_that_are_not_finite_are_counted() {
+fn points_that_no_cloud_can_have_are_counted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.xyz");
-    std::fs::write(&path, "1 2 3\n1 nan 3\n4 5 6\n7 8 inf\n").unwrap();
-    let (cloud, dropped_count) = read_finite(&path).unwrap();
-    assert_eq!((cloud.points().len(), dropped_count), (2, 2));
+    std::fs::write(&path, "1 2 3\n1 nan 3\n4 5 6\n7 8 inf\n1 2 1e10\n").unwrap();
+    let (cloud, dropped_count) = read_usable(&path).unwrap();
+    assert_eq!((cloud.points().len(), dropped_count), (2, 3));
 }
 
 #[test]
@@ -122,6 +123,10 @@ fn large_clouds_are_thinned_alike_unless_told_otherwise() {
     let [source, target] = choose_voxels(&large, &larger, &arguments);
     assert!(source.is_some() && source == target);
     assert!(large.thinned(source.unwrap()).points().len() <= 5000);
+    let site = Cloud::from_points(large.points().iter().map(|point| point * 10.0).collect());
+    let [source, target] = choose_voxels(&large, &site, &arguments);
+    assert!(source == target);
+    assert!(large.thinned(source.unwrap()).points().len() > 1000);
     arguments.with_scale = true;
     let [source, target] = choose_voxels(&large, &larger, &arguments);
     assert!(source < target);
