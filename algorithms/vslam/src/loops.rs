@@ -67,7 +67,9 @@ impl Loops {
     /// Goes on with the adjustment of the whole map that a loop or a join set off; whether that
     /// takes this frame's time.
     pub(crate) fn adjust_further(&mut self, map: &mut VslamMap) -> bool {
-        let Some(mut adjustment) = self.adjustment.take() else {
+        // One of a map that was left since would take time in vain.
+        let adjustment = self.adjustment.take().filter(|one| one.is_of(map));
+        let Some(mut adjustment) = adjustment else {
             return false;
         };
         let lends = adjustment.pass_frame();

@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use crate::bundle::{BundleProblem, BundleReport, BundleSettings, Workspace, adjust};
 use crate::map::Moves;
 use crate::mapping::{Selection, renew_point, stretches};
-use crate::{KeyframeId, MapId, PointId, VslamMap};
+use crate::{KeyframeId, PointId, VslamMap};
 
 /// Steps in all. Those along the loop are seen last, when the damping has gone down.
 pub(super) const STEPS_MAX: usize = 40;
@@ -22,7 +22,6 @@ const COST_DECREASE_MIN: f64 = 1e-6;
 /// An adjustment of a whole map under way.
 #[derive(Debug)]
 pub(crate) struct GlobalAdjustment {
-    map: MapId,
     selection: Selection,
     views: Vec<(PointId, KeyframeId)>,
     /// As the map was, and as it should have been.
@@ -40,7 +39,6 @@ impl GlobalAdjustment {
         let selection = Selection::all(map);
         let (problem, views) = selection.problem(map);
         Self {
-            map: map.id(),
             selection,
             views,
             before: problem.clone(),
@@ -74,9 +72,6 @@ impl GlobalAdjustment {
 
     /// Takes the steps that are left, and moves the map as they say.
     pub(super) fn finish(mut self, map: &mut VslamMap) {
-        if map.id() != self.map {
-            return;
-        }
         self.advance(STEPS_MAX);
         let settings = BundleSettings {
             point_covariances: true,

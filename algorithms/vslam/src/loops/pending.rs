@@ -8,8 +8,8 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Weak};
 
 use super::global::{GlobalAdjustment, STEPS_MAX};
-use crate::VslamMap;
 use crate::settings::Background;
+use crate::{MapId, VslamMap};
 
 /// Observations that a frame's share of a step has at most: about 15 ms on a small core.
 const OBSERVATIONS_PER_FRAME: usize = 40_000;
@@ -17,6 +17,7 @@ const OBSERVATIONS_PER_FRAME: usize = 40_000;
 /// A global adjustment that has begun.
 #[derive(Debug)]
 pub(super) struct Pending {
+    map: MapId,
     work: Work,
     frames_per_step: usize,
     frame_count: usize,
@@ -57,10 +58,15 @@ impl Pending {
             }
         };
         Self {
+            map: map.id(),
             work,
             frames_per_step,
             frame_count: 0,
         }
+    }
+
+    pub(super) fn is_of(&self, map: &VslamMap) -> bool {
+        self.map == map.id()
     }
 
     /// Notes a frame; whether it is one of those that lend their time.

@@ -186,6 +186,11 @@ fn the_whole_map_is_adjusted_beside_the_frames_while_it_may_change() {
     let mut small_only = adjusting(50, None);
     small_only.begin_adjustment(&map);
     assert!(!small_only.adjust_further(&mut map));
+
+    let mut left = adjusting(1000, None);
+    left.begin_adjustment(&map);
+    assert!(!left.adjust_further(&mut map.successor(MapId(9))));
+    assert!(left.adjustment.is_none());
 }
 
 #[test]
