@@ -32,6 +32,7 @@ impl Stage {
             RecordingWorld::Board => hands::board(seed, &mut rng),
             RecordingWorld::Corridor => building::corridor(seed, &mut rng),
             RecordingWorld::Hover => lab::hover(seed, &mut rng),
+            RecordingWorld::Still => lab::still(seed, &mut rng),
         }
     }
 }

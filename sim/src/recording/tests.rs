@@ -55,6 +55,17 @@ fn no_camera_goes_through_anything() {
 }
 
 #[test]
+fn a_camera_that_stays_only_turns() {
+    for seed in 1..=3 {
+        let still = recording(RecordingWorld::Still, seed, &[]);
+        let positions = positions(&still);
+        let way_max_m = positions.iter().map(|one| (one - positions[0]).norm());
+        assert!(way_max_m.fold(0.0, f64::max) < 0.04);
+        assert!(turned_rad(&still) > 0.5);
+    }
+}
+
+#[test]
 fn routes_are_what_they_are_named_for() {
     for seed in 1..=3 {
         let way_m = |world| length_m(&positions(&recording(world, seed, &[])));

@@ -10,8 +10,8 @@ use crate::rendered;
 
 #[derive(clap::Args)]
 pub struct RecordArguments {
-    /// What is seen, and how the camera moves: lab, round, handheld, office, board, corridor or
-    /// hover.
+    /// What is seen, and how the camera moves: lab, round, handheld, office, board, corridor,
+    /// hover or still.
     #[arg(long, value_parser = parse_world)]
     world: RecordingWorld,
     /// Chooses the building, its finishes, the route and when each condition strikes.

@@ -1,6 +1,6 @@
 //! Drones in the lab.
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng, RngExt};
 
 use super::{Stage, ramp, video_camera};
@@ -14,6 +14,13 @@ const WOBBLE: WobbleSettings = WobbleSettings {
     tilt_rad: 0.025,
     rate_hz: [0.4, 1.4],
 };
+const HOVER_WOBBLE: WobbleSettings = WobbleSettings {
+    shift_m: 0.008,
+    tilt_rad: 0.012,
+    rate_hz: [0.4, 1.4],
+};
+/// When the demo's first drone passes the one that stays where it is.
+const PASSED_AT_S: f64 = 6.0;
 
 /// The first drone of the demo.
 pub fn to_and_fro(seed: u64) -> Stage {
@@ -25,6 +32,38 @@ pub fn to_and_fro(seed: u64) -> Stage {
         body_from_camera: drone.description.body_from_camera,
         duration_s: scenario.frame_time_s(scenario.frame_count),
         world: scenario.world,
+    }
+}
+
+/// Hovers beside the way of the demo's first drone for 12 s, then turns on the spot, back and
+/// beyond.
+pub fn still(seed: u64, rng: &mut impl Rng) -> Stage {
+    let duration_s = 20.0;
+    let stage = to_and_fro(seed);
+    let passed = stage.route.pose(PASSED_AT_S);
+    let (_, _, heading_rad) = passed.rotation().euler_angles();
+    let offset = Vector3::new(
+        rng.random_range(-0.4..-0.1),
+        rng.random_range(-0.3..0.3),
+        rng.random_range(-0.1..0.2),
+    );
+    let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading_rad);
+    let position = passed.translation() + heading * offset;
+    let turn_rad = rng.random_range(0.3..0.5) * sign(rng);
+    let waypoints = (0..(duration_s / INTERVAL_S) as usize + 2)
+        .map(|idx| {
+            let time_s = idx as f64 * INTERVAL_S;
+            let turned = ramp(time_s, 12.0, 15.0) - 2.0 * ramp(time_s, 15.0, 19.0);
+            Waypoint {
+                position,
+                yaw_rad: heading_rad + turn_rad * turned,
+            }
+        })
+        .collect();
+    Stage {
+        route: Route::new(waypoints, INTERVAL_S, Wobble::new(&HOVER_WOBBLE, rng)),
+        duration_s,
+        ..stage
     }
 }
 
@@ -99,14 +138,9 @@ pub fn hover(seed: u64, rng: &mut impl Rng) -> Stage {
             }
         })
         .collect();
-    let wobble = WobbleSettings {
-        shift_m: 0.008,
-        tilt_rad: 0.012,
-        rate_hz: [0.4, 1.4],
-    };
     Stage {
         world,
-        route: Route::new(waypoints, INTERVAL_S, Wobble::new(&wobble, rng)),
+        route: Route::new(waypoints, INTERVAL_S, Wobble::new(&HOVER_WOBBLE, rng)),
         camera: video_camera(420.0, rng),
         body_from_camera: mounted(0.0, 0.1),
         duration_s,
