@@ -270,6 +270,10 @@ impl Anchor {
         };
         let (state, reason) = self.judge(attempt, now);
         if (state, &reason) != (self.state, &self.reason) {
+            if state == VehicleState::Global && !self.placer.is_placed() {
+                // Others wait for nothing else.
+                self.next_placement_at = None;
+            }
             self.state = state;
             self.reason = reason.clone();
             effects.push(Effect::StateChanged { state, reason });

@@ -89,6 +89,11 @@ impl Placer {
         stretched
     }
 
+    /// Whether it was said where the map stands.
+    pub(super) fn is_placed(&self) -> bool {
+        self.enu_from_map.is_some()
+    }
+
     /// What is to be said after an attempt to solve; `solved` only while the map is global.
     pub(super) fn publish(
         &mut self,

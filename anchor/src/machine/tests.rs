@@ -193,6 +193,20 @@ fn placements_come_at_most_once_a_second() {
     assert!(times.windows(2).all(|pair| pair[1] - pair[0] > 0.99));
 }
 
+#[test]
+fn the_first_placement_does_not_wait_for_its_turn() {
+    let frames = fly(with_a_turn, 20.0, &TYPICAL_DRIFT, 3);
+    let mut anchor = Anchor::new(settings(), EPOCH);
+    let effects = run(&mut anchor, &frames, 0.02);
+    let at = |wanted: fn(&Effect) -> bool| effects.iter().find(|(_, effect)| wanted(effect));
+    let global = at(|effect| match effect {
+        Effect::StateChanged { state, .. } => *state == VehicleState::Global,
+        _ => false,
+    });
+    let placed = at(|effect| matches!(effect, Effect::PublishPlacement(_)));
+    assert_eq!(global.unwrap().0, placed.unwrap().0);
+}
+
 fn settled(anchor: &mut Anchor, input: KeyframeInput) -> Vec<(protocol::Chunk, Vec<u8>)> {
     let now = input.pose.captured_at;
     anchor.handle(Event::KeyframeInserted(input.pose), now);
