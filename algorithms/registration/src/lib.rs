@@ -18,7 +18,8 @@ pub use cloud::{Cloud, Descriptors, ShapedCloud, is_usable};
 pub use evidence::{Clue, Evidence};
 pub use gravity::Gravity;
 pub use localizer::{
-    AlignmentReport, AnchorIdx, ChunkIdx, CorrectedKeyframe, Estimate, KeyframeIdx,
-    KeyframeObservation, Landmark, Localizer, LocalizerSettings, ObservedFeature, ObservedPoint,
+    AlignmentReport, AnchorIdx, ChunkIdx, CorrectedKeyframe, Estimate, FrameLocation,
+    FrameObservation, KeyframeIdx, KeyframeObservation, Landmark, Localizer, LocalizerSettings,
+    NearPose, ObservedFeature, ObservedPoint,
 };
 pub use register::{align, register};

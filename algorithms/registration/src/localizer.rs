@@ -11,6 +11,7 @@ mod history;
 mod landmarks;
 mod locate;
 mod matching;
+mod single_frames;
 #[cfg(test)]
 mod tests;
 mod track;
@@ -27,10 +28,12 @@ use fusion::{Fused, Vote, disagreement, fuse};
 use landmarks::{AnchorLandmarks, AnchorMap, AnchorPlacement};
 use locate::{Attempt, Effort, Hint, Located};
 use matching::FeatureIndex;
+use single_frames::SingleFrames;
 use track::{Admission, Entry, Track};
 
 pub use estimate::Estimate;
 pub use history::{CorrectedKeyframe, KeyframePoses};
+pub use single_frames::{FrameLocation, FrameObservation, NearPose};
 pub use types::{
     AlignmentReport, AnchorIdx, AnchorReport, ChunkIdx, ChunkIntake, DriftRates, ErrorFloor,
     KeyframeIdx, KeyframeObservation, Landmark, LocalizerSettings, ObservedFeature, ObservedPoint,
@@ -53,6 +56,7 @@ pub struct Localizer {
     settings: LocalizerSettings,
     anchors: BTreeMap<AnchorIdx, Anchor>,
     fused: Option<Fused>,
+    single_frames: SingleFrames,
     /// The newest own keyframe.
     newest: Option<(KeyframeIdx, Transform<Map, Camera>)>,
     /// Keyframes from before the first alignment, to be located after all.
@@ -61,6 +65,8 @@ pub struct Localizer {
     jump_count: u64,
     refused_input_count: u64,
     rng: ChaCha8Rng,
+    /// Frames draw apart, so that keyframes are located alike with and without them.
+    frame_rng: ChaCha8Rng,
 }
 
 #[derive(Default)]
@@ -74,9 +80,11 @@ impl Localizer {
     pub fn new(settings: LocalizerSettings) -> Self {
         Self {
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
+            frame_rng: ChaCha8Rng::seed_from_u64(!settings.seed),
             settings,
             anchors: BTreeMap::new(),
             fused: None,
+            single_frames: SingleFrames::default(),
             newest: None,
             early: VecDeque::new(),
             accepted_count: 0,
@@ -182,7 +190,7 @@ impl Localizer {
             .to_matrix()
             .iter()
             .all(|one| one.is_finite());
-        let Some(features) = FeatureIndex::new(keyframe).filter(|_| usable) else {
+        let Some(features) = FeatureIndex::new(&keyframe.features).filter(|_| usable) else {
             self.refused_input_count += 1;
             return AlignmentReport::refused(Refusal::BadInput);
         };
@@ -194,8 +202,9 @@ impl Localizer {
                 continue;
             }
             let attempt = Attempt {
-                keyframe,
+                observed: &keyframe.features,
                 features: &features,
+                map_from_camera: Some(keyframe.map_from_camera),
                 anchor: &anchor.landmarks,
                 settings: &self.settings,
             };

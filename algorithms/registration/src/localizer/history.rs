@@ -155,10 +155,11 @@ impl Anchor {
         settings: &LocalizerSettings,
         rng: &mut ChaCha8Rng,
     ) -> Option<Located> {
-        let features = FeatureIndex::new(keyframe)?;
+        let features = FeatureIndex::new(&keyframe.features)?;
         let attempt = Attempt {
-            keyframe,
+            observed: &keyframe.features,
             features: &features,
+            map_from_camera: Some(keyframe.map_from_camera),
             anchor: &self.landmarks,
             settings,
         };

@@ -1,18 +1,18 @@
-//! One keyframe among the landmarks of one anchor.
+//! One image among the landmarks of one anchor.
 
 use geometry::absolute_pose::{
     PointObservation, RansacSettings, RefineSettings, RefinedPose, ransac_absolute_pose,
     refine_absolute_pose,
 };
-use geometry::{Camera, Chunk, Matrix7, Similarity, Tangent7, Transform};
+use geometry::{Camera, Chunk, Map, Matrix7, Similarity, Tangent7, Transform};
 use nalgebra::{Vector2, Vector6};
 use rand_chacha::ChaCha8Rng;
 
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::matching::{FeatureIndex, LandmarkMatch, match_predicted, search};
-use super::types::{ChunkIdx, KeyframeObservation, LocalizerSettings, Refusal};
+use super::types::{ChunkIdx, LocalizerSettings, ObservedFeature, Refusal};
 
-/// A keyframe's camera in a chunk of an anchor, with the scale between the maps.
+/// A camera in a chunk of an anchor, with the scale between the maps.
 #[derive(Clone, Debug)]
 pub(super) struct Located {
     /// The chunk that most of the landmarks belong to.
@@ -48,16 +48,18 @@ pub(super) struct Effort {
     pub inlier_count: usize,
 }
 
-/// Everything about a keyframe and an anchor that locating needs.
+/// Everything about an image and an anchor that locating needs.
 pub(super) struct Attempt<'a> {
-    pub keyframe: &'a KeyframeObservation,
+    pub observed: &'a [ObservedFeature],
     pub features: &'a FeatureIndex,
+    /// In the own map, if there is one: then the scale between the maps can be measured.
+    pub map_from_camera: Option<Transform<Map, Camera>>,
     pub anchor: &'a AnchorLandmarks,
     pub settings: &'a LocalizerSettings,
 }
 
 impl Attempt<'_> {
-    /// Finds the keyframe's camera; `hint` is moved on where it is a cursor.
+    /// Finds the camera; `hint` is moved on where it is a cursor.
     pub fn locate(
         &self,
         hint: &mut Hint,
@@ -153,7 +155,7 @@ impl Attempt<'_> {
     fn loose_observations(&self, matches: &[LandmarkMatch]) -> Vec<PointObservation> {
         let slack_squared = self.settings.search_slack.powi(2);
         let observe = |one: &LandmarkMatch| {
-            let feature = &self.keyframe.features[one.feature_idx];
+            let feature = &self.observed[one.feature_idx];
             PointObservation {
                 point_in_world: one.landmark.point,
                 position: feature.position,
@@ -207,7 +209,7 @@ impl Attempt<'_> {
     ) -> Vec<PointObservation> {
         let rotation = camera_from_anchor.rotation_matrix();
         let observe = |one: &LandmarkMatch| {
-            let feature = &self.keyframe.features[one.feature_idx];
+            let feature = &self.observed[one.feature_idx];
             let point = *camera_from_anchor * one.landmark.point;
             let position = point.xy() / point.z;
             let in_camera = rotation * one.landmark.covariance * rotation.transpose();
@@ -234,7 +236,7 @@ impl Attempt<'_> {
         let extent = highest - lowest;
         let mut occupied = [false; 16];
         for one in inliers {
-            let offset: Vector2<f64> = self.keyframe.features[one.feature_idx].position - lowest;
+            let offset: Vector2<f64> = self.observed[one.feature_idx].position - lowest;
             let along =
                 |axis: usize| ((offset[axis] / extent[axis].max(1e-9) * 4.0) as usize).min(3);
             occupied[along(1) * 4 + along(0)] = true;
@@ -302,12 +304,12 @@ impl Attempt<'_> {
         inliers: &[LandmarkMatch],
         camera_from_anchor: &Transform<Camera, AnchorMap>,
     ) -> Option<MeasuredScale> {
-        let camera_from_map = self.keyframe.map_from_camera.inverse();
+        let camera_from_map = self.map_from_camera?.inverse();
         let rotation_from_map = camera_from_map.rotation_matrix();
         let rotation_from_anchor = camera_from_anchor.rotation_matrix();
         let mut pairs: Vec<DepthPair> = Vec::new();
         for one in inliers {
-            let Some(own) = &self.keyframe.features[one.feature_idx].point else {
+            let Some(own) = &self.observed[one.feature_idx].point else {
                 continue;
             };
             let landmark = *camera_from_anchor * one.landmark.point;

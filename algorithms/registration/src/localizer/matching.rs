@@ -5,7 +5,7 @@ use geometry::{Camera, Transform};
 use nalgebra::{Vector2, Vector3};
 
 use super::landmarks::{AnchorLandmarks, AnchorMap, PlacedLandmark};
-use super::types::{ChunkIdx, KeyframeObservation, LocalizerSettings};
+use super::types::{ChunkIdx, LocalizerSettings, ObservedFeature};
 
 /// Landmarks nearer to each other than this share of their distance are one thing, twice mapped;
 /// the ratio test passes over such twins.
@@ -25,7 +25,7 @@ pub(super) struct LandmarkMatch<'a> {
     pub chunk: ChunkIdx,
 }
 
-/// The features of one keyframe, laid out for matching.
+/// The features of one image, laid out for matching.
 pub(super) struct FeatureIndex {
     positions: Vec<Vector2<f64>>,
     descriptors: Vec<Descriptor>,
@@ -41,8 +41,7 @@ const GRID_SIZE: usize = 32;
 
 impl FeatureIndex {
     /// `None` without features, or with numbers that are not finite.
-    pub fn new(keyframe: &KeyframeObservation) -> Option<Self> {
-        let features = &keyframe.features;
+    pub fn new(features: &[ObservedFeature]) -> Option<Self> {
         let positions: Vec<_> = features.iter().map(|feature| feature.position).collect();
         let first = *positions.first()?;
         let usable = features.iter().all(|feature| {
@@ -308,6 +307,72 @@ pub(super) fn match_predicted<'a>(
         list: winners.collect(),
         candidate_count,
     }
+}
+
+/// Cells per axis of the grid in which expectation and sight are compared.
+const COVERAGE_GRID: [usize; 2] = [8, 6];
+/// Landmarks, and features, that a cell needs before anything is expected of it.
+const CELL_LANDMARKS_MIN: usize = 4;
+const CELL_FEATURES_MIN: usize = 3;
+
+/// How much of what a pose promises is there.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Coverage {
+    /// Cells of a grid over the image that show features where landmarks should be.
+    pub expected_count: usize,
+    /// Those of them with a match.
+    pub confirmed_count: usize,
+}
+
+/// Compares what should be in view of a pose with what was matched.
+pub(super) fn coverage(
+    features: &FeatureIndex,
+    anchor: &AnchorLandmarks,
+    camera_from_anchor: &Transform<Camera, AnchorMap>,
+    matches: &[LandmarkMatch],
+) -> Coverage {
+    #[derive(Clone, Copy, Default)]
+    struct Cell {
+        landmark_count: usize,
+        feature_count: usize,
+        match_count: usize,
+    }
+    let (lowest, highest) = features.bounds();
+    let extent = highest - lowest;
+    let cell_of = |position: &Vector2<f64>| {
+        let along = |axis: usize| {
+            let share = (position[axis] - lowest[axis]) / extent[axis].max(1e-9);
+            let count = COVERAGE_GRID[axis];
+            ((share * count as f64).max(0.0) as usize).min(count - 1)
+        };
+        along(1) * COVERAGE_GRID[0] + along(0)
+    };
+    let mut cells = [Cell::default(); COVERAGE_GRID[0] * COVERAGE_GRID[1]];
+    let view = View::new(features, camera_from_anchor, 0.0);
+    for (_, chunk) in anchor.placed_chunks() {
+        let (centre, radius) = chunk.bounds();
+        if !view.may_see(&centre, radius) {
+            continue;
+        }
+        let positions = chunk.placed().iter().filter_map(|one| view.project(one));
+        for position in positions {
+            cells[cell_of(&position)].landmark_count += 1;
+        }
+    }
+    for position in &features.positions {
+        cells[cell_of(position)].feature_count += 1;
+    }
+    for one in matches {
+        cells[cell_of(&features.positions[one.feature_idx])].match_count += 1;
+    }
+    let mut coverage = Coverage::default();
+    for cell in cells {
+        let expected =
+            cell.landmark_count >= CELL_LANDMARKS_MIN && cell.feature_count >= CELL_FEATURES_MIN;
+        coverage.expected_count += usize::from(expected);
+        coverage.confirmed_count += usize::from(expected && cell.match_count > 0);
+    }
+    coverage
 }
 
 /// What a camera at a predicted pose would see.

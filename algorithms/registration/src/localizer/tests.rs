@@ -1,6 +1,6 @@
 //! Whole alignments in a synthetic room; the flight knows the truth, the localiser does not.
 
-mod world;
+pub(super) mod world;
 
 use features::Descriptor;
 use geometry::{Matrix7, Similarity, Timestamp};

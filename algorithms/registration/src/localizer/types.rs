@@ -95,7 +95,7 @@ pub struct AnchorReport {
 pub enum Verdict {
     /// It agrees with the estimate and improves it.
     Accepted,
-    /// It was located, but waits for other keyframes to agree with it.
+    /// It was located, but waits for others to agree with it.
     Unconfirmed,
     Refused(Refusal),
 }
@@ -115,6 +115,8 @@ pub enum Refusal {
     TooFewInliers,
     /// The inliers cover too little of the image.
     InliersClustered,
+    /// Much that should be in view from there is not: the place only looks alike.
+    Contradicted,
     /// Too few of the inliers are points of the own map, so that the scale stays open.
     NoScale,
     /// Numbers that are not finite, or a keyframe without features.
@@ -125,7 +127,7 @@ impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Accepted => f.write_str("accepted"),
-            Self::Unconfirmed => f.write_str("waits for other keyframes to agree"),
+            Self::Unconfirmed => f.write_str("waits for others to agree"),
             Self::Refused(refusal) => refusal.fmt(f),
         }
     }
@@ -141,6 +143,7 @@ impl fmt::Display for Refusal {
             Self::Ambiguous => "ambiguous",
             Self::TooFewInliers => "too few inliers",
             Self::InliersClustered => "inliers clustered in the image",
+            Self::Contradicted => "much that should be in view is not",
             Self::NoScale => "scale not observable",
             Self::BadInput => "bad input",
         })

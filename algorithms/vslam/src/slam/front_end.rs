@@ -7,7 +7,7 @@ use geometry::Timestamp;
 use crate::frame::Frame;
 use crate::look::Look;
 use crate::optics::{LEVEL_FACTOR, Optics};
-use crate::{FrameRefusal, VslamSettings};
+use crate::{FrameRefusal, Observation, VslamSettings};
 
 /// Finds the keypoints of images.
 ///
@@ -74,8 +74,13 @@ impl ExtractedFrame {
         self.captured_at
     }
 
-    pub fn keypoint_count(&self) -> usize {
+    /// The keypoints; none of a frame that will be refused.
+    pub fn observations(&self) -> &[Observation] {
         let content = self.content.as_ref();
-        content.map_or(0, |frame| frame.observations.len())
+        content.map_or(&[], |frame| &frame.observations)
+    }
+
+    pub fn keypoint_count(&self) -> usize {
+        self.observations().len()
     }
 }

@@ -241,6 +241,12 @@ impl Flyer {
         }
     }
 
+    /// Hovers, or turns on the spot.
+    pub fn turn_to(&mut self, position: Vector3<f64>, yaw_rad: f64) {
+        let forward = Vector3::new(yaw_rad.cos(), yaw_rad.sin(), -0.1);
+        self.enu_from_camera = look(position, forward);
+    }
+
     pub fn restart_map(&mut self) {
         let other = Similarity::<Map, Map>::exp(&Tangent7::from_element(0.4));
         self.map_from_enu = other * self.map_from_enu;
