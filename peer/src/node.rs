@@ -6,8 +6,10 @@
 mod anchor_role;
 mod exchange;
 mod frame;
+mod handover;
 mod outlet;
 mod peer_role;
+mod peer_tie;
 mod places;
 mod receive;
 mod shelf;
@@ -15,6 +17,7 @@ mod status;
 mod surroundings;
 mod tied_pose;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use anchor::{AnchorSettings, PositionFix};
@@ -325,7 +328,7 @@ impl Node {
     }
 
     /// Every frame of the own map that can be placed as well as `Global` asks for, after all
-    /// corrections.
+    /// corrections; where there is none, the single frames that were located.
     pub fn corrected_trajectory(&self) -> Vec<StampedPose<Enu>> {
         let places = self.places();
         let sigma_max_m = self.global_sigma_m();
@@ -342,7 +345,14 @@ impl Node {
                 )?,
             })
         });
-        placed.collect()
+        let single = match &self.role {
+            Role::Anchor(_) => None,
+            Role::Peer(role) => Some(role.located_frames()),
+        };
+        // Of two poses of a frame the later one stays.
+        let all = single.into_iter().flatten().chain(placed);
+        let all: BTreeMap<_, _> = all.map(|pose| (pose.captured_at, pose)).collect();
+        all.into_values().collect()
     }
 
     /// The points of the own map in the global frame, after all corrections.

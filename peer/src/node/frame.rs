@@ -9,12 +9,10 @@ use nalgebra::Matrix6;
 use protocol::keys::Key;
 use protocol::sync::SyncEvent;
 use protocol::{GlobalPose, Pose, VehicleState, encode};
-use vslam::FrameReport;
 
 use super::outlet::Outlet;
-use super::peer_role::PeerRole;
-use super::status::{KnownTie, Limits, Status, Tie};
-use super::tied_pose::{TiedPose, position_block, worst_sigma};
+use super::status::{Limits, Status};
+use super::tied_pose::position_block;
 use super::{Effect, FramePose, GlobalFramePose, Node, Role};
 use crate::link::Class;
 
@@ -29,11 +27,20 @@ impl Node {
         self.exchange.tell(SyncEvent::Tick, now, effects);
         self.map_frame(now, effects);
         let extracted = self.front_end.extract(image, captured_at);
+        let single_frame = match &self.role {
+            Role::Peer(role) => role.observe_frame(&extracted),
+            Role::Anchor(_) => None,
+        };
         let report = self.slam.track(extracted);
+        let sigma_max_m = self.global_sigma_m();
         let tied = match &mut self.role {
             Role::Peer(role) => {
                 role.enter_map(report.map_id);
-                tie_to_anchors(role, &report, now)
+                let limits = Limits {
+                    stale_after_s: self.settings.stale_after_s,
+                    global_sigma_m: sigma_max_m,
+                };
+                role.tie((&report, single_frame), &limits, now)
             }
             Role::Anchor(role) => {
                 let mut outlet = Outlet {
@@ -149,44 +156,6 @@ impl Node {
             self.pose_published_at = Some(captured_at);
         }
         due
-    }
-}
-
-fn tie_to_anchors(role: &PeerRole, report: &FrameReport, now: Timestamp) -> TiedPose {
-    let Some(estimate) = role.estimate(now) else {
-        return TiedPose {
-            tie: Tie::None {
-                reason: role.reason(),
-            },
-            pose: None,
-            datum: role.datum().cloned(),
-            jump_count: 0,
-        };
-    };
-    let pose = report.map_from_camera.as_ref().map(|map_from_camera| {
-        let covariance = estimate.pose_covariance(map_from_camera, report.pose_covariance.as_ref());
-        (estimate.enu_from_camera(map_from_camera), covariance)
-    });
-    let objection = estimate.conflict.then(|| {
-        let others = role.names(&estimate.inconsistent_anchors);
-        format!(
-            "conflict: {} and {others} contradict each other",
-            role.names(&estimate.anchors)
-        )
-    });
-    let tie = Tie::Known(KnownTie {
-        age_s: estimate.age_s,
-        position_sigma_m: pose
-            .as_ref()
-            .map(|(_, covariance)| worst_sigma(&position_block(covariance))),
-        objection,
-        basis: format!("registered to {}", role.names(&estimate.anchors)),
-    });
-    TiedPose {
-        tie,
-        pose,
-        datum: role.datum().cloned(),
-        jump_count: estimate.jump_count,
     }
 }
 

@@ -14,11 +14,15 @@ use registration::{
 };
 use vslam::{FrameReport, Keyframe, KeyframeId, MappingReport, VslamMap};
 
+use crate::files::StampedPose;
+
+use super::handover::Handover;
 use super::places::{Place, Places};
 
 /// The incremental alignment of the own map to the anchors' maps, by their names on the wire.
 pub struct PeerRole {
-    localizer: Localizer,
+    pub(super) localizer: Localizer,
+    pub(super) handover: Handover,
     anchors: BTreeMap<MapId, AnchorIdx>,
     /// What this vehicle's ENU is relative to: the datum of the first anchor that was placed.
     datum: Option<Datum>,
@@ -29,6 +33,8 @@ pub struct PeerRole {
     /// [`Keyframe::unit`] of the own keyframes when they were last looked at.
     units: BTreeMap<KeyframeId, f64>,
     last_verdict: Option<Verdict>,
+    /// Why the newest single frame was not located, if one was looked at.
+    pub(super) frame_verdict: Option<Verdict>,
     datum_refusal: Option<String>,
     chunk_count: usize,
 }
@@ -40,6 +46,7 @@ impl PeerRole {
                 seed,
                 ..LocalizerSettings::default()
             }),
+            handover: Handover::default(),
             anchors: BTreeMap::new(),
             datum: None,
             fix_sigma_m: None,
@@ -47,6 +54,7 @@ impl PeerRole {
             map_revision: 0,
             units: BTreeMap::new(),
             last_verdict: None,
+            frame_verdict: None,
             datum_refusal: None,
             chunk_count: 0,
         }
@@ -182,6 +190,15 @@ impl PeerRole {
         }))
     }
 
+    /// Where the cameras of single frames were, by all that is known now.
+    pub fn located_frames(&self) -> impl Iterator<Item = StampedPose<Enu>> {
+        let frames = self.localizer.located_frames();
+        frames.map(|(captured_at, target_from_camera)| StampedPose {
+            captured_at,
+            target_from_camera,
+        })
+    }
+
     pub fn datum(&self) -> Option<&Datum> {
         self.datum.as_ref()
     }
@@ -204,7 +221,7 @@ impl PeerRole {
         if self.chunk_count == 0 {
             return "no chunk received yet".to_owned();
         }
-        match self.last_verdict {
+        match self.last_verdict.or(self.frame_verdict) {
             None => "no keyframe since the chunks came".to_owned(),
             Some(Verdict::Refused(Refusal::NoLandmarks)) => "no chunk is placed yet".to_owned(),
             Some(verdict) => format!("no chunk matches: {verdict}"),

@@ -53,27 +53,26 @@ impl Status {
     /// - `was_global`: the vehicle has been global in this flight.
     pub fn after(report: &FrameReport, tie: &Tie, limits: &Limits, was_global: bool) -> Self {
         let tracking = report.map_from_camera.is_some();
+        let starting = matches!(report.state, TrackingState::Starting { .. });
         let fallback = |known: bool| match (was_global, known) {
             (true, _) => VehicleState::GlobalStale,
+            (false, _) if starting => VehicleState::NoMap,
             (false, true) => VehicleState::LocalMetric,
             (false, false) => VehicleState::LocalUnscaled,
         };
         let state_and_reason = |state, reason: String| Self { state, reason };
         match (&report.state, tie) {
-            (TrackingState::Starting { .. }, _) if !was_global => {
-                state_and_reason(VehicleState::NoMap, report.state.to_string())
-            }
-            (state, Tie::Known(_)) if !tracking => {
+            (state, Tie::Known(known)) if known.position_sigma_m.is_none() && !tracking => {
                 state_and_reason(fallback(true), state.to_string())
             }
-            (state, Tie::None { reason }) if !tracking => {
-                state_and_reason(fallback(false), format!("{state}; {reason}"))
-            }
-            (_, Tie::None { reason }) => state_and_reason(fallback(false), reason.clone()),
             (_, Tie::Known(known)) => match known.objection(limits) {
                 Some(objection) => state_and_reason(fallback(true), objection),
                 None => state_and_reason(VehicleState::Global, known.basis.clone()),
             },
+            (state, Tie::None { reason }) if !tracking => {
+                state_and_reason(fallback(false), format!("{state}; {reason}"))
+            }
+            (_, Tie::None { reason }) => state_and_reason(fallback(false), reason.clone()),
         }
     }
 }
@@ -93,6 +92,63 @@ impl KnownTie {
                 limits.global_sigma_m
             )),
             None => Some("the pose has no covariance".to_owned()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use geometry::Timestamp;
+    use vslam::{MapId, StartReason};
+
+    use super::*;
+
+    const LIMITS: Limits = Limits {
+        stale_after_s: 10.0,
+        global_sigma_m: 0.5,
+    };
+
+    /// A camera that hovers: it has no map of its own, and so no pose in one.
+    fn hovering() -> FrameReport {
+        FrameReport {
+            frame_idx: 0,
+            captured_at: Timestamp::default(),
+            map_id: MapId(0),
+            map_revision: 0,
+            state: TrackingState::Starting {
+                reason: StartReason::LowParallax,
+            },
+            map_from_camera: None,
+            pose_covariance: None,
+            inlier_count: 0,
+            keypoint_count: 500,
+        }
+    }
+
+    fn tie(position_sigma_m: Option<f64>) -> Tie {
+        Tie::Known(KnownTie {
+            age_s: 0.0,
+            position_sigma_m,
+            objection: None,
+            basis: "single frames".to_owned(),
+        })
+    }
+
+    #[test]
+    fn a_hovering_vehicle_is_global_or_without_a_map_and_nothing_between() {
+        let none = Tie::None {
+            reason: "no chunk".to_owned(),
+        };
+        for (tie, was_global, expected) in [
+            (none.clone(), false, VehicleState::NoMap),
+            (tie(Some(0.02)), false, VehicleState::Global),
+            (tie(Some(0.8)), false, VehicleState::NoMap),
+            (tie(Some(0.8)), true, VehicleState::GlobalStale),
+            (tie(None), false, VehicleState::NoMap),
+            (none, true, VehicleState::GlobalStale),
+        ] {
+            let status = Status::after(&hovering(), &tie, &LIMITS, was_global);
+            assert_eq!(status.state, expected, "{tie:?}");
         }
     }
 }

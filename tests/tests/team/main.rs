@@ -11,6 +11,7 @@
 mod clock;
 mod demo;
 mod ending;
+mod hover;
 mod inputs;
 mod joining;
 mod outage;

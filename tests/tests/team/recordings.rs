@@ -11,7 +11,7 @@ use tempfile::TempDir;
 
 /// 20 s at 10 Hz: long enough to be placed, to lose the link, and to find it again.
 const FRAME_COUNT: usize = 200;
-const SEED: u64 = 1;
+pub const SEED: u64 = 1;
 
 /// The recordings of all tests.
 pub static RECORDINGS: LazyLock<Recordings> = LazyLock::new(Recordings::render);

@@ -1,0 +1,217 @@
+//! From single frames to the own map and back, without a step.
+
+use geometry::{Camera, Enu, Timestamp, Transform, so3};
+use nalgebra::{Matrix6, Vector6};
+
+use super::tied_pose::{position_block, worst_sigma};
+
+/// A pose on the Earth and its covariance `[ω; p]` in the global axes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GlobalCamera {
+    pub enu_from_camera: Transform<Enu, Camera>,
+    pub covariance: Matrix6<f64>,
+}
+
+impl GlobalCamera {
+    /// One sigma of the position along its worst axis.
+    pub fn sigma_m(&self) -> f64 {
+        worst_sigma(&position_block(&self.covariance))
+    }
+}
+
+/// How far the own map has taken over from single frames.
+#[derive(Debug)]
+pub(super) struct Handover {
+    /// 0 while single frames say where the camera is, 1 once the own map alone does.
+    map_share: f64,
+    newest: Option<(Timestamp, GlobalCamera)>,
+    /// The two contradict each other in this handover; counted once.
+    contradicted: bool,
+    jump_count: u64,
+}
+
+/// A step that is left between the two is gone after so long.
+const DURATION_S: f64 = 1.0;
+/// An own map that says so many times less of where the camera is waits until it knows more.
+const SIGMA_FACTOR_MAX: f64 = 2.0;
+/// An older pose does not say where the camera is now.
+const NEAR_S: f64 = 1.0;
+/// Squared difference per degree of freedom above which the two contradict each other.
+const DISAGREEMENT_MAX: f64 = 4.0;
+
+impl Default for Handover {
+    fn default() -> Self {
+        Self {
+            map_share: 1.0,
+            newest: None,
+            contradicted: false,
+            jump_count: 0,
+        }
+    }
+}
+
+impl Handover {
+    /// Whether the own map, if it says where the camera is, says so alone.
+    pub fn is_over(&self) -> bool {
+        self.map_share >= 1.0
+    }
+
+    /// Whether single frames say more of where the camera is than the own map.
+    pub fn rests_on_frames(&self) -> bool {
+        self.map_share < 0.5
+    }
+
+    pub fn jump_count(&self) -> u64 {
+        self.jump_count
+    }
+
+    /// Where the camera was last, if that was a moment ago.
+    pub fn near(&self, now: Timestamp) -> Option<(Timestamp, GlobalCamera)> {
+        self.newest.filter(|(at, _)| now - *at < NEAR_S)
+    }
+
+    /// The pose of a frame by what is there of the two.
+    pub fn pose(
+        &mut self,
+        captured_at: Timestamp,
+        by_map: Option<GlobalCamera>,
+        by_frame: Option<GlobalCamera>,
+    ) -> Option<GlobalCamera> {
+        let elapsed_s = self.newest.map(|(at, _)| captured_at - at);
+        if by_map.is_none() && by_frame.is_some() {
+            self.map_share = 0.0;
+            self.contradicted = false;
+        }
+        let ready = by_map.as_ref().is_some_and(|by_map| {
+            by_frame.is_none_or(|by_frame| by_map.sigma_m() < SIGMA_FACTOR_MAX * by_frame.sigma_m())
+        });
+        if ready {
+            let step = elapsed_s.map_or(1.0, |elapsed_s| elapsed_s / DURATION_S);
+            self.map_share = (self.map_share + step).min(1.0);
+        }
+        let pose = match (by_map, by_frame) {
+            (Some(by_map), Some(by_frame)) => Some(self.between(&by_frame, &by_map)),
+            (by_map, by_frame) => by_map.or(by_frame),
+        };
+        if let Some(pose) = pose {
+            self.newest = Some((captured_at, pose));
+        }
+        pose
+    }
+
+    /// Both, weighted; they share the anchor's error, so that nothing is gained by their number.
+    fn between(&mut self, by_frame: &GlobalCamera, by_map: &GlobalCamera) -> GlobalCamera {
+        let share = self.map_share;
+        let difference = difference(by_frame, by_map);
+        let sum = by_frame.covariance + by_map.covariance;
+        let squared = sum
+            .cholesky()
+            .map_or(f64::INFINITY, |sum| difference.dot(&sum.solve(&difference)));
+        if squared / 6.0 > DISAGREEMENT_MAX && !self.contradicted {
+            self.contradicted = true;
+            self.jump_count += 1;
+        }
+        let spread = difference * difference.transpose() * (share * (1.0 - share));
+        let moved = difference * share;
+        let turn = so3::exp(&moved.fixed_rows::<3>(0).into_owned());
+        let shift = moved.fixed_rows::<3>(3).into_owned();
+        GlobalCamera {
+            enu_from_camera: Transform::new(
+                turn * by_frame.enu_from_camera.rotation(),
+                by_frame.enu_from_camera.translation() + shift,
+            ),
+            covariance: by_frame.covariance * (1.0 - share) + by_map.covariance * share + spread,
+        }
+    }
+}
+
+/// `[ω; p]` that leads from one to the other, in the global axes.
+fn difference(from: &GlobalCamera, to: &GlobalCamera) -> Vector6<f64> {
+    let (from, to) = (&from.enu_from_camera, &to.enu_from_camera);
+    let turn = so3::log(&(to.rotation() * from.rotation().inverse()));
+    let shift = to.translation() - from.translation();
+    Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    fn camera(east_m: f64, yaw_rad: f64) -> GlobalCamera {
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::z() * yaw_rad);
+        GlobalCamera {
+            enu_from_camera: Transform::new(rotation, Vector3::x() * east_m),
+            covariance: Matrix6::identity() * 0.02 * 0.02,
+        }
+    }
+
+    fn at(frame_idx: usize) -> Timestamp {
+        Timestamp::from_seconds(frame_idx as f64 / 10.0).unwrap()
+    }
+
+    fn east_m(pose: &GlobalCamera) -> f64 {
+        pose.enu_from_camera.translation().x
+    }
+
+    /// Single frames, and from the tenth on the own map, which is 5 cm and 0.02 rad off.
+    #[test]
+    fn the_own_map_takes_over_without_a_step() {
+        let mut handover = Handover::default();
+        let mut before = camera(0.0, 0.0);
+        for frame_idx in 0..30 {
+            let by_map = (frame_idx >= 10).then(|| camera(0.05, 0.02));
+            let by_frame = (frame_idx < 10 || !handover.is_over()).then(|| camera(0.0, 0.0));
+            let pose = handover.pose(at(frame_idx), by_map, by_frame).unwrap();
+            let way = before.enu_from_camera.inverse() * pose.enu_from_camera;
+            assert!(way.translation().norm() < 0.006, "{frame_idx}");
+            assert!(way.rotation().angle() < 0.003, "{frame_idx}");
+            // Nothing is gained by the number of them: they share the anchor's error.
+            assert!(pose.covariance[(3, 3)] >= 0.02 * 0.02 - 1e-12);
+            before = pose;
+        }
+        assert!((east_m(&before) - 0.05).abs() < 1e-12);
+        assert!(handover.is_over());
+        assert_eq!(handover.jump_count(), 0);
+    }
+
+    #[test]
+    fn a_map_that_contradicts_single_frames_is_a_jump_that_is_counted_once() {
+        let mut handover = Handover::default();
+        for frame_idx in 0..10 {
+            let by_map = (frame_idx > 0).then(|| camera(0.5, 0.0));
+            handover.pose(at(frame_idx), by_map, Some(camera(0.0, 0.0)));
+        }
+        assert_eq!(handover.jump_count(), 1);
+        // On the way the covariance covers both.
+        let halfway = handover.newest.unwrap().1;
+        assert!(halfway.covariance[(3, 3)] > 0.02 * 0.02);
+    }
+
+    #[test]
+    fn a_map_that_knows_far_less_waits() {
+        let mut handover = Handover::default();
+        let mut vague = camera(0.05, 0.0);
+        vague.covariance *= 25.0;
+        for frame_idx in 0..30 {
+            let by_map = (frame_idx > 0).then_some(vague);
+            let pose = handover.pose(at(frame_idx), by_map, Some(camera(0.0, 0.0)));
+            assert!(east_m(&pose.unwrap()).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn single_frames_take_over_at_once_when_the_map_is_lost() {
+        let mut handover = Handover::default();
+        let by_map = handover.pose(at(0), Some(camera(1.0, 0.0)), None);
+        assert!(by_map.is_some() && handover.is_over());
+        let near = handover.near(at(1)).unwrap().1;
+        assert!((east_m(&near) - 1.0).abs() < 1e-12);
+        let pose = handover.pose(at(1), None, Some(camera(1.01, 0.0)));
+        assert!((east_m(&pose.unwrap()) - 1.01).abs() < 1e-12);
+        assert!(handover.rests_on_frames());
+        assert!(handover.pose(at(2), None, None).is_none());
+        assert!(handover.near(at(20)).is_none());
+    }
+}

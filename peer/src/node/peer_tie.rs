@@ -1,0 +1,126 @@
+//! What a vehicle without a position source knows of where it is: by its own map, by single frames,
+//! or by both.
+
+use geometry::Timestamp;
+use registration::localizer::Verdict;
+use registration::{Estimate, FrameLocation, FrameObservation, NearPose, ObservedFeature};
+use vslam::{ExtractedFrame, FrameReport};
+
+use super::handover::GlobalCamera;
+use super::peer_role::PeerRole;
+use super::status::{KnownTie, Limits, Tie};
+use super::tied_pose::TiedPose;
+
+impl PeerRole {
+    /// A frame to be located by itself; `None` where there is nothing to locate it in.
+    pub fn observe_frame(&self, extracted: &ExtractedFrame) -> Option<FrameObservation> {
+        if self.localizer.landmark_count() == 0 {
+            return None;
+        }
+        let features = extracted.observations().iter().map(|one| ObservedFeature {
+            position: one.position,
+            sigma: one.sigma,
+            descriptor: one.descriptor,
+            point: None,
+        });
+        Some(FrameObservation {
+            captured_at: extracted.captured_at(),
+            features: features.collect(),
+        })
+    }
+
+    /// Where the camera is, and what that rests on.
+    pub(super) fn tie(
+        &mut self,
+        (report, single_frame): (&FrameReport, Option<FrameObservation>),
+        limits: &Limits,
+        now: Timestamp,
+    ) -> TiedPose {
+        let estimate = self.estimate(now);
+        let by_map = estimate
+            .as_ref()
+            .and_then(|estimate| pose_by_map(estimate, report));
+        let good = by_map.as_ref().zip(estimate.as_ref());
+        let good = good.is_some_and(|(pose, estimate)| {
+            pose.sigma_m() <= limits.global_sigma_m && estimate.age_s <= limits.stale_after_s
+        });
+        let wanted = !good || !self.handover.is_over();
+        let located = single_frame
+            .filter(|_| wanted)
+            .and_then(|frame| self.locate(&frame));
+        let by_frame = located.map(|located| GlobalCamera {
+            enu_from_camera: located.enu_from_camera,
+            covariance: located.covariance,
+        });
+        // A map that is not good enough leaves the word to single frames that are there.
+        let told_by_map = by_map.filter(|_| good || by_frame.is_none());
+        let pose = self
+            .handover
+            .pose(report.captured_at, told_by_map, by_frame);
+        let by_frames = by_frame.is_some() && self.handover.rests_on_frames();
+        let tie = match (located.filter(|_| by_frames), &estimate) {
+            (Some(located), _) => self.tie_by_frame(&located, pose.as_ref()),
+            (None, Some(estimate)) => self.tie_by_map(estimate, pose.as_ref()),
+            (None, None) => Tie::None {
+                reason: self.reason(),
+            },
+        };
+        TiedPose {
+            tie,
+            pose: pose.map(|pose| (pose.enu_from_camera, pose.covariance)),
+            datum: self.datum().cloned(),
+            jump_count: estimate.map_or(0, |estimate| estimate.jump_count)
+                + self.handover.jump_count(),
+        }
+    }
+
+    fn locate(&mut self, frame: &FrameObservation) -> Option<FrameLocation> {
+        let near = self.handover.near(frame.captured_at);
+        let near = near.map(|(captured_at, pose)| NearPose {
+            captured_at,
+            enu_from_camera: pose.enu_from_camera,
+        });
+        let located = self.localizer.observe_frame(frame, near.as_ref());
+        self.frame_verdict = Some(match &located {
+            Ok(_) => Verdict::Accepted,
+            Err(verdict) => *verdict,
+        });
+        located.ok()
+    }
+
+    fn tie_by_frame(&self, located: &FrameLocation, pose: Option<&GlobalCamera>) -> Tie {
+        Tie::Known(KnownTie {
+            age_s: 0.0,
+            position_sigma_m: pose.map(GlobalCamera::sigma_m),
+            objection: None,
+            basis: format!(
+                "single frames located among the chunks of {}",
+                self.names(&[located.anchor])
+            ),
+        })
+    }
+
+    fn tie_by_map(&self, estimate: &Estimate, pose: Option<&GlobalCamera>) -> Tie {
+        let objection = estimate.conflict.then(|| {
+            let others = self.names(&estimate.inconsistent_anchors);
+            format!(
+                "conflict: {} and {others} contradict each other",
+                self.names(&estimate.anchors)
+            )
+        });
+        Tie::Known(KnownTie {
+            age_s: estimate.age_s,
+            position_sigma_m: pose.map(GlobalCamera::sigma_m),
+            objection,
+            basis: format!("registered to {}", self.names(&estimate.anchors)),
+        })
+    }
+}
+
+fn pose_by_map(estimate: &Estimate, report: &FrameReport) -> Option<GlobalCamera> {
+    let map_from_camera = report.map_from_camera.as_ref()?;
+    Some(GlobalCamera {
+        enu_from_camera: estimate.enu_from_camera(map_from_camera),
+        covariance: estimate.pose_covariance(map_from_camera, report.pose_covariance.as_ref()),
+    })
+}
