@@ -13,6 +13,7 @@ mod scenario;
 mod serve;
 pub mod stream;
 pub mod swarm;
+mod visit;
 mod world;
 
 pub use conditioner::{Conditioner, Cut, Traffic};
@@ -27,4 +28,5 @@ pub use serve::{
     Ending, Listener, Pace, ServeError, ServeEvent, ServeReport, ServeSettings, VehicleReport,
     serve,
 };
-pub use world::{Cuboid, FURNITURE_DEPTH_M, Finish, Panel, Surroundings, World};
+pub use visit::{Encounter, EncounterSettings, Standpoint, Visit};
+pub use world::{Cuboid, FURNITURE_DEPTH_M, Finish, Likeness, Panel, Surroundings, World};

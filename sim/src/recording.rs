@@ -16,6 +16,7 @@ use geometry::{Body, Camera, Enu, Timestamp, Transform};
 pub use conditions::Condition;
 use conditions::Weather;
 use stage::Stage;
+pub(crate) use stage::video_camera;
 
 use crate::renderer::{Renderer, Scene, SensorSettings, Shot, gain_at};
 use crate::scenario::timestamp_at;

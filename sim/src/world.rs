@@ -8,6 +8,7 @@ mod office;
 mod panel;
 mod parlour;
 mod room;
+mod twin;
 mod visibility;
 
 use nalgebra::{Vector2, Vector3};
@@ -19,6 +20,7 @@ pub use corridor::corridor_outline_m;
 pub use office::{Office, Stop};
 pub use panel::{Cuboid, Finish, Panel};
 use room::Room;
+pub use twin::Likeness;
 pub use visibility::Surroundings;
 
 /// Seeded rooms. The site frame's origin is on the floor in the middle, x along the longer side,

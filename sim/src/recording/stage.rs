@@ -44,7 +44,7 @@ fn ramp(time_s: f64, from_s: f64, to_s: f64) -> f64 {
 }
 
 /// A camera of 640×480 with about this focal length; no two have the same lens.
-fn video_camera(focal_px: f64, rng: &mut impl Rng) -> CameraModel {
+pub fn video_camera(focal_px: f64, rng: &mut impl Rng) -> CameraModel {
     let fx = focal_px * rng.random_range(0.96..1.04);
     let intrinsics = Intrinsics {
         fx,

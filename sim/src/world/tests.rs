@@ -59,3 +59,35 @@ fn rays_end_at_walls() {
     assert!(surroundings.sees(&origin, &wall));
     assert!(!surroundings.sees(&origin, &(wall * 1.1)));
 }
+
+#[test]
+fn a_twin_has_the_same_furniture_and_other_contents() {
+    let room = World::parlour(4);
+    let likeness = Likeness {
+        furniture: 0.8,
+        contents: 0.2,
+    };
+    let twin = room.twin(&likeness, 1);
+    assert_eq!(twin, room.twin(&likeness, 1));
+    assert_ne!(twin, room.twin(&likeness, 2));
+    let of = |world: &World, finish| -> Vec<Panel> {
+        let panels = world.panels.iter();
+        panels.filter(|one| one.finish == finish).cloned().collect()
+    };
+    let same_count = |finish| {
+        let pairs = of(&room, finish).into_iter().zip(of(&twin, finish));
+        pairs.filter(|(own, other)| own == other).count()
+    };
+    let metal_count = of(&room, Finish::Metal).len();
+    assert_eq!(metal_count, of(&twin, Finish::Metal).len());
+    assert!(2 * same_count(Finish::Metal) > metal_count);
+    assert_eq!(same_count(Finish::Plaster), 0);
+    assert!(of(&twin, Finish::Cardboard).len() < of(&room, Finish::Cardboard).len());
+    assert_eq!(same_count(Finish::Window), of(&room, Finish::Window).len());
+    let alike = Likeness {
+        furniture: 1.0,
+        contents: 1.0,
+    };
+    let contents = |world: &World| of(world, Finish::Cardboard);
+    assert_eq!(contents(&room.twin(&alike, 3)), contents(&room));
+}
