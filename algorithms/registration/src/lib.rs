@@ -15,7 +15,7 @@ pub use alignment::{
     Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target,
 };
 pub use cloud::{Cloud, Descriptors, ShapedCloud, is_usable};
-pub use evidence::{Clue, Evidence};
+pub use evidence::{Clue, Evenness, Evidence};
 pub use gravity::Gravity;
 pub use localizer::{
     AlignmentReport, AnchorIdx, ChunkIdx, CorrectedKeyframe, Estimate, FrameLocation,

@@ -12,6 +12,7 @@ mod landmarks;
 mod locate;
 mod matching;
 mod single_frames;
+mod testimony;
 #[cfg(test)]
 mod tests;
 mod track;
@@ -214,13 +215,14 @@ impl Localizer {
             if let Hint::Nowhere { cursor } = hint {
                 anchor.search_cursor = cursor;
             }
-            let verdict = anchor.admit(located, keyframe, &self.settings);
+            let verdict = anchor.admit(located, (keyframe, &features), &self.settings);
             reports.push(AnchorReport {
                 anchor: *idx,
                 verdict,
                 candidate_count: effort.candidate_count,
                 match_count: effort.match_count,
                 inlier_count: effort.inlier_count,
+                evenness: anchor.track.evenness,
             });
         }
         if self.fused.is_none() {
@@ -408,7 +410,7 @@ impl Anchor {
     fn admit(
         &mut self,
         located: Result<Located, Refusal>,
-        keyframe: &KeyframeObservation,
+        (keyframe, features): (&KeyframeObservation, &FeatureIndex),
         settings: &LocalizerSettings,
     ) -> Verdict {
         let located = match located {
@@ -426,8 +428,9 @@ impl Anchor {
             captured_at: keyframe.captured_at,
             map_from_camera: keyframe.map_from_camera,
             located,
+            witnesses: Vec::new(),
         };
-        match self.track.admit(entry, &self.landmarks, settings) {
+        match self.track.admit(entry, features, &self.landmarks, settings) {
             Admission::Agrees | Admission::Founds => Verdict::Accepted,
             Admission::Waits => Verdict::Unconfirmed,
         }

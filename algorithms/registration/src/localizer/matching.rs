@@ -103,7 +103,16 @@ impl FeatureIndex {
         }
     }
 
-    fn for_each_near(&self, position: &Vector2<f64>, radius: f64, mut visit: impl FnMut(usize)) {
+    pub fn descriptor(&self, idx: usize) -> &Descriptor {
+        &self.descriptors[idx]
+    }
+
+    pub fn for_each_near(
+        &self,
+        position: &Vector2<f64>,
+        radius: f64,
+        mut visit: impl FnMut(usize),
+    ) {
         let offset = Vector2::repeat(radius);
         let (column_first, row_first) = self.cell(&(position - offset));
         let (column_last, row_last) = self.cell(&(position + offset));
@@ -376,7 +385,7 @@ pub(super) fn coverage(
 }
 
 /// What a camera at a predicted pose would see.
-struct View {
+pub(super) struct View {
     camera_from_anchor: Transform<Camera, AnchorMap>,
     position: Vector3<f64>,
     lowest: Vector2<f64>,
@@ -386,7 +395,7 @@ struct View {
 }
 
 impl View {
-    fn new(
+    pub fn new(
         features: &FeatureIndex,
         camera_from_anchor: &Transform<Camera, AnchorMap>,
         margin: f64,
@@ -403,7 +412,7 @@ impl View {
         }
     }
 
-    fn may_see(&self, centre: &Vector3<f64>, radius: f64) -> bool {
+    pub fn may_see(&self, centre: &Vector3<f64>, radius: f64) -> bool {
         let centre = self.camera_from_anchor * *centre;
         // The sphere's nearest point to the cone about the optical axis.
         let across = centre.xy().norm();
@@ -412,6 +421,16 @@ impl View {
     }
 
     fn project(&self, landmark: &PlacedLandmark) -> Option<Vector2<f64>> {
+        self.project_within(landmark, VIEW_ANGLE_COSINE_MIN, DISTANCE_FACTOR_MAX)
+    }
+
+    /// Where a landmark is in view, if it is seen from about where it was seen first.
+    pub fn project_within(
+        &self,
+        landmark: &PlacedLandmark,
+        angle_cosine_min: f64,
+        distance_factor_max: f64,
+    ) -> Option<Vector2<f64>> {
         let point = self.camera_from_anchor * landmark.point;
         if point.z <= 0.0 {
             return None;
@@ -422,9 +441,9 @@ impl View {
         let ray = landmark.point - self.position;
         let distance = ray.norm();
         let factor = distance / landmark.distance;
-        let seen_alike = ray.dot(&landmark.direction) > VIEW_ANGLE_COSINE_MIN * distance
-            && factor < DISTANCE_FACTOR_MAX
-            && factor * DISTANCE_FACTOR_MAX > 1.0;
+        let seen_alike = ray.dot(&landmark.direction) > angle_cosine_min * distance
+            && factor < distance_factor_max
+            && factor * distance_factor_max > 1.0;
         (inside && seen_alike).then_some(position)
     }
 }

@@ -240,6 +240,36 @@ fn another_world_is_never_aligned() {
     }
 }
 
+/// Goal: a room with the same furniture is another room. Method: a part of the anchor's world looks
+/// the same, and the rest does not; with nothing asked about the rest, it is taken for the room.
+#[test]
+fn a_room_of_the_same_plan_is_not_the_room() {
+    let mut was_mistaken = 0;
+    for seed in 0..2 {
+        for extent_min in [LocalizerSettings::default().agreement_extent_min, 0.0] {
+            let mut scene = scene(seed, 1.0);
+            scene.localizer = Localizer::new(LocalizerSettings {
+                agreement_extent_min: extent_min,
+                ..LocalizerSettings::default()
+            });
+            scene.world = World::new(8000, &mut scene.rng);
+            scene.publish(&AnchorSettings::default());
+            // A third of all cubes of this edge.
+            let cube = |along_m: f64| (along_m / 1.2).floor() as i64;
+            let looks_alike = |point: &Vector3<f64>| {
+                (cube(point.x) + cube(point.y) + cube(point.z)).rem_euclid(3) == 0
+            };
+            scene.world = scene.world.redecorated(looks_alike, &mut scene.rng);
+            (0..12).for_each(|step| drop(scene.step(step)));
+            if extent_min > 0.0 {
+                assert!(scene.estimate().is_none(), "seed {seed}");
+            }
+            was_mistaken += usize::from(scene.estimate().is_some());
+        }
+    }
+    assert!(was_mistaken > 0, "the rooms are too different for a test");
+}
+
 #[test]
 fn reasons_are_given_before_anything_is_known() {
     let mut scene = scene(6, 0.0);

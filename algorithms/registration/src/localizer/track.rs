@@ -12,7 +12,10 @@ use nalgebra::{SMatrix, Vector3};
 
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::locate::Located;
+use super::matching::FeatureIndex;
+use super::testimony::{self, Witness};
 use super::types::{ChunkIdx, DriftRates, KeyframeIdx, LocalizerSettings};
+use crate::evidence::Evenness;
 
 /// A keyframe that was located.
 #[derive(Clone, Debug)]
@@ -21,6 +24,8 @@ pub(super) struct Entry {
     pub captured_at: Timestamp,
     pub map_from_camera: Transform<Map, Camera>,
     pub located: Located,
+    /// Only while the entry waits.
+    pub witnesses: Vec<Witness>,
 }
 
 /// The alignment at one pose of the camera.
@@ -285,6 +290,8 @@ pub(super) struct Track {
     past: VecDeque<Entry>,
     waiting: VecDeque<Entry>,
     state: Option<State>,
+    /// Of the last that would have founded the track.
+    pub evenness: Option<Evenness>,
     /// Keyframes in a row that were not located or did not agree.
     pub miss_count: usize,
 }
@@ -317,7 +324,8 @@ impl Track {
 
     pub fn admit(
         &mut self,
-        entry: Entry,
+        mut entry: Entry,
+        features: &FeatureIndex,
         anchor: &AnchorLandmarks,
         settings: &LocalizerSettings,
     ) -> Admission {
@@ -343,6 +351,9 @@ impl Track {
             }
         }
         self.miss_count += 1;
+        if let Some(camera_from_anchor) = entry.camera_from_anchor(anchor) {
+            entry.witnesses = testimony::ask(features, anchor, &camera_from_anchor, settings);
+        }
         self.waiting.push_back(entry);
         if self.waiting.len() > WAITING_MAX {
             self.waiting.pop_front();
@@ -378,11 +389,19 @@ impl Track {
         if agreeing.len() < required || inlier_count < settings.first_inlier_count || !spread {
             return Admission::Waits;
         }
+        let witnesses = agreeing.iter().flat_map(|entry| &entry.witnesses);
+        self.evenness = testimony::evenness(witnesses);
+        let contradicted = self
+            .evenness
+            .is_some_and(|evenness| evenness.extent() < settings.agreement_extent_min);
         let founded = filter(agreeing.iter(), anchor, settings);
-        if founded.is_none() {
+        if founded.is_none() || contradicted {
             return Admission::Waits;
         }
         self.entries = agreeing.into();
+        for entry in &mut self.entries {
+            entry.witnesses = Vec::new();
+        }
         self.past.clear();
         self.waiting.clear();
         self.state = founded;
@@ -421,6 +440,12 @@ impl Track {
 }
 
 impl Entry {
+    fn camera_from_anchor(&self, anchor: &AnchorLandmarks) -> Option<Transform<Camera, AnchorMap>> {
+        let map_from_chunk = anchor.map_from_chunk(self.located.chunk)?;
+        let anchor_from_camera = *map_from_chunk * self.located.chunk_from_camera;
+        Some(anchor_from_camera.rigid_part().inverse())
+    }
+
     /// Keeps what was located, of a camera whose map is larger now by this factor.
     fn stretch(&mut self, factor: f64) {
         let old = &self.located.chunk_from_camera;

@@ -6,6 +6,8 @@ use features::Descriptor;
 use geometry::{Camera, Map, Timestamp, Transform};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use crate::evidence::Evenness;
+
 /// An anchor and one of its epochs, numbered by the caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AnchorIdx(pub u32);
@@ -88,6 +90,9 @@ pub struct AnchorReport {
     pub candidate_count: usize,
     pub match_count: usize,
     pub inlier_count: usize,
+    /// How the landmarks that should be in view agree, as of the last time that keyframes agreed
+    /// on a first alignment.
+    pub evenness: Option<Evenness>,
 }
 
 /// Whether a keyframe was located, and believed.
@@ -217,6 +222,10 @@ pub struct LocalizerSettings {
     pub first_inlier_count: usize,
     /// Keyframes that must agree with each other to overrule an alignment.
     pub switch_keyframe_count: usize,
+    /// The share of the place over which landmarks must agree with keyframes before an alignment
+    /// is begun: rooms of one plan share their furniture, and no more. Higher refuses more of
+    /// them, and more places that have changed.
+    pub agreement_extent_min: f64,
     /// Keyframes in the sliding window: more is calmer, fewer forgets drift sooner.
     pub window_keyframe_count: usize,
     /// Squared difference per degree of freedom above which a keyframe contradicts.
@@ -262,6 +271,7 @@ impl Default for LocalizerSettings {
             first_keyframe_count: 2,
             first_inlier_count: 50,
             switch_keyframe_count: 3,
+            agreement_extent_min: 0.5,
             window_keyframe_count: 40,
             disagreement_max: 5.0,
             anchor_disagreement_max: 4.0,

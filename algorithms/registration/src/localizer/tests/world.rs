@@ -84,6 +84,23 @@ impl World {
         }
     }
 
+    /// The same room with other looks, except where it is to look alike.
+    pub fn redecorated(
+        &self,
+        looks_alike: impl Fn(&Vector3<f64>) -> bool,
+        rng: &mut impl Rng,
+    ) -> Self {
+        let known = self.points.iter().zip(&self.descriptors);
+        let descriptors = known.map(|(point, descriptor)| match looks_alike(point) {
+            true => *descriptor,
+            false => random_descriptor(rng),
+        });
+        Self {
+            descriptors: descriptors.collect(),
+            points: self.points.clone(),
+        }
+    }
+
     fn visible(&self, enu_from_camera: &Transform<Enu, Camera>) -> Vec<(usize, Vector3<f64>)> {
         let camera_from_enu = enu_from_camera.inverse();
         let points = self.points.iter().enumerate();
