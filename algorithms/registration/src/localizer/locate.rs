@@ -5,7 +5,7 @@ use geometry::absolute_pose::{
     refine_absolute_pose,
 };
 use geometry::{Camera, Chunk, Map, Matrix7, Similarity, Tangent7, Transform};
-use nalgebra::{Vector2, Vector6};
+use nalgebra::{Matrix2, Vector2, Vector6};
 use rand_chacha::ChaCha8Rng;
 
 use super::landmarks::{AnchorLandmarks, AnchorMap};
@@ -195,7 +195,9 @@ impl Attempt<'_> {
         if inlier_share < settings.inlier_share_min {
             return Err(Refusal::NoConsensus);
         }
-        if self.occupied_cell_count(&matches) < settings.occupied_cell_count_min {
+        if self.occupied_cell_count(&matches) < settings.occupied_cell_count_min
+            || self.breadth(&matches) < settings.inlier_breadth_min
+        {
             return Err(Refusal::InliersClustered);
         }
         self.conclude(&matches, &refined)
@@ -242,6 +244,27 @@ impl Attempt<'_> {
             occupied[along(1) * 4 + along(0)] = true;
         }
         occupied.iter().filter(|one| **one).count()
+    }
+
+    /// How broad the inliers lie in the image in the direction in which they lie narrowest: the
+    /// standard deviation, in widths and heights of the image.
+    fn breadth(&self, inliers: &[LandmarkMatch]) -> f64 {
+        let (lowest, highest) = self.features.bounds();
+        let extent = (highest - lowest).map(|length| length.max(1e-9));
+        let places = inliers.iter().map(|one| {
+            let position = self.observed[one.feature_idx].position;
+            (position - lowest).component_div(&extent)
+        });
+        let count = inliers.len().max(1) as f64;
+        let mean = places.clone().sum::<Vector2<f64>>() / count;
+        let spread: Matrix2<f64> = places
+            .map(|place| (place - mean) * (place - mean).transpose())
+            .sum();
+        (spread / count)
+            .symmetric_eigenvalues()
+            .min()
+            .max(0.0)
+            .sqrt()
     }
 
     fn conclude(

@@ -270,6 +270,33 @@ fn a_room_of_the_same_plan_is_not_the_room() {
     assert!(was_mistaken > 0, "the rooms are too different for a test");
 }
 
+/// Goal: a strip of the image tells no pose. Method: only a slab of the room looks as the anchor
+/// saw it, and nothing is asked about the rest.
+#[test]
+fn a_strip_of_the_image_is_not_enough() {
+    let mut estimate_counts = [0, 0];
+    for seed in 0..2 {
+        for (count, breadth_min) in estimate_counts.iter_mut().zip([0.08, 0.0]) {
+            let mut scene = scene(seed, 1.0);
+            scene.localizer = Localizer::new(LocalizerSettings {
+                agreement_extent_min: 0.0,
+                inlier_breadth_min: breadth_min,
+                ..LocalizerSettings::default()
+            });
+            scene.world = World::new(8000, &mut scene.rng);
+            scene.publish(&AnchorSettings::default());
+            let in_slab = |point: &Vector3<f64>| point.z.abs() < 0.2;
+            scene.world = scene.world.redecorated(in_slab, &mut scene.rng);
+            for step in 0..12 {
+                scene.step(step);
+                *count += usize::from(scene.estimate().is_some());
+            }
+        }
+    }
+    let [broad, any] = estimate_counts;
+    assert!(broad == 0 && any > 0, "{broad} and {any}");
+}
+
 #[test]
 fn reasons_are_given_before_anything_is_known() {
     let mut scene = scene(6, 0.0);
