@@ -74,6 +74,18 @@ struct RegistrationArguments {
     /// Seeds of each row; by default 50 of generated correspondences and 100 of maps.
     #[arg(long)]
     seeds: Option<u64>,
+    /// Only these seeds of the maps of two vehicles, separated by commas.
+    #[arg(long, value_delimiter = ',')]
+    vehicle_seeds: Vec<u64>,
+    /// Keep those maps in this folder, and use those that are there: they do not depend on
+    /// registration.
+    #[arg(long)]
+    maps: Option<PathBuf>,
+    /// Say what came of each pair of those maps.
+    #[arg(long)]
+    verbose: bool,
+    #[arg(long, default_value_t = 2)]
+    threads: usize,
     /// Only rows whose name has this in it; may be given again.
     #[arg(long)]
     only: Vec<String>,
@@ -117,10 +129,22 @@ fn register(arguments: RegistrationArguments) -> Result<ExitCode> {
     let settings = RegistrationSettings {
         correspondence_seed_count: arguments.seeds.unwrap_or(50),
         map_seed_count: arguments.seeds.unwrap_or(100),
+        vehicle_seeds: if arguments.vehicle_seeds.is_empty() {
+            (1..=arguments.seeds.unwrap_or(100)).collect()
+        } else {
+            arguments.vehicle_seeds
+        },
+        thread_count: arguments.threads,
+        maps: arguments.maps,
+        verbose: arguments.verbose,
         only: arguments.only,
     };
-    registration::measure(&settings, data.as_deref(), say)?;
-    Ok(ExitCode::SUCCESS)
+    let is_clean = registration::measure(&settings, data.as_deref(), say)?;
+    Ok(if is_clean {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
 }
 
 /// Runs are independent, so they come in any order and are the same on any number of threads.

@@ -1,11 +1,16 @@
 //! How often registration finds the right alignment from nothing, and how often a wrong one.
 
 mod benchmark;
+mod common_view;
 mod correspondences;
+mod pairs;
+mod tables;
+mod trial;
 mod two_maps;
+mod vehicle_map;
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use geometry::Similarity;
@@ -21,6 +26,13 @@ pub struct RegistrationSettings {
     pub correspondence_seed_count: u64,
     /// Of each row of real maps.
     pub map_seed_count: u64,
+    /// Of maps of two vehicles in rendered rooms.
+    pub vehicle_seeds: Vec<u64>,
+    /// Where these maps are kept, and found if they are there already.
+    pub maps: Option<PathBuf>,
+    pub thread_count: usize,
+    /// Whether to tell of each pair of those maps.
+    pub verbose: bool,
     /// Only rows whose name has one of these in it; all if there is none.
     pub only: Vec<String>,
 }
@@ -108,12 +120,16 @@ const HEADER: [&str; 2] = [
     "|---|---|---|---|---|---|",
 ];
 
+/// What `--only` calls the maps of two vehicles.
+const VEHICLES: &str = "vehicles in rendered rooms";
+
 /// Measures every row in turn; `report` sees each line of the table as soon as it is known.
+/// Returns whether no vehicle's map was accepted at a wrong place.
 pub fn measure(
     settings: &RegistrationSettings,
     data: Option<&Path>,
     mut report: impl FnMut(&str),
-) -> Result<()> {
+) -> Result<bool> {
     let is_wanted = |name: &str| {
         settings.only.is_empty() || settings.only.iter().any(|part| name.contains(part))
     };
@@ -143,7 +159,14 @@ pub fn measure(
             None => report(&format!("| {} | skipped: no data | | | | |", case.name)),
         }
     }
-    Ok(())
+    if !is_wanted(VEHICLES) {
+        return Ok(true);
+    }
+    report("");
+    if let Some(maps) = &settings.maps {
+        fs::create_dir_all(maps).with_context(|| format!("cannot make {}", maps.display()))?;
+    }
+    Ok(pairs::measure(settings, report))
 }
 
 /// Evenly distributed over all rotations.
