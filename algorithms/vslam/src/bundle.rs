@@ -85,17 +85,21 @@ pub struct BundleSettings {
     pub pose_covariances: bool,
 }
 
+impl BundleSettings {
+    pub(crate) const DEFAULT: Self = Self {
+        chi_squared_max: 5.991,
+        iteration_count_max: 10,
+        refit_iteration_count_max: 0,
+        cost_decrease_min: 1e-6,
+        damping: 1e-4,
+        point_covariances: true,
+        pose_covariances: false,
+    };
+}
+
 impl Default for BundleSettings {
     fn default() -> Self {
-        Self {
-            chi_squared_max: 5.991,
-            iteration_count_max: 10,
-            refit_iteration_count_max: 0,
-            cost_decrease_min: 1e-6,
-            damping: 1e-4,
-            point_covariances: true,
-            pose_covariances: false,
-        }
+        Self::DEFAULT
     }
 }
 
