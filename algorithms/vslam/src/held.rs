@@ -80,6 +80,28 @@ pub(crate) fn are_placing(
     of_place.symmetric_eigenvalues().max().sqrt() <= PLACE_SIGMA_MAX * depth
 }
 
+/// By how many standard deviations the points of known range miss these observations, in the
+/// median; `None` if there are none. Far more than usual says that they were found by chance.
+pub(crate) fn misfit(
+    map: &VslamMap,
+    camera_from_map: &Transform<Camera, Map>,
+    observations: &[Observation],
+) -> Option<f64> {
+    let rotation = camera_from_map.rotation_matrix();
+    let squared = observations.iter().filter_map(|observation| {
+        let point = observation.point.and_then(|point| map.point(point))?;
+        let in_camera = rotation * point.position_in_map + camera_from_map.translation();
+        let error = in_camera.xy() / in_camera.z - observation.position;
+        let squared = error.norm_squared() / (observation.sigma * observation.sigma);
+        (point.has_range() && squared.is_finite()).then_some(squared)
+    });
+    let mut squared: Vec<f64> = squared.collect();
+    let middle = squared.len() / 2;
+    let median =
+        (!squared.is_empty()).then(|| *squared.select_nth_unstable_by(middle, f64::total_cmp).1);
+    median.map(f64::sqrt)
+}
+
 type Cells = [bool; CELLS_ALONG * CELLS_ALONG];
 
 /// Which parts of an image show points of known range.

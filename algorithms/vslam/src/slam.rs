@@ -254,6 +254,7 @@ impl Vslam {
             inlier_count,
             ranged_count: inlier_count,
             is_placed: true,
+            doubtful_misfit: None,
             reference: keyframe,
         };
         let last = self

@@ -17,7 +17,7 @@ pub(crate) use predict::Motion;
 pub(crate) use refine::{Whereabouts, refine};
 
 use crate::frame::Frame;
-use crate::held::are_placing;
+use crate::held::{are_placing, misfit};
 use crate::map::Place;
 use crate::optics::Optics;
 use crate::relocalise::locate_near;
@@ -30,7 +30,8 @@ pub(crate) const INLIERS_MIN: usize = 25;
 /// Fewer keypoints that agree with the last frame's points are no start for the local map.
 const FIRST_INLIERS_MIN: usize = 12;
 
-/// A pose by few keypoints is a coincidence if the frame misses most of what it should show there.
+/// A pose is doubtful if the frame misses most of what it should show there. Then few keypoints are
+/// a coincidence, and so are many that fit worse than keypoints do in other frames.
 const FOUND_SHARE_MIN: f64 = 0.2;
 const CERTAIN_INLIERS: usize = 50;
 
@@ -53,6 +54,8 @@ pub(crate) struct Tracked {
     pub(crate) ranged_count: usize,
     /// Whether they tell it well.
     pub(crate) is_placed: bool,
+    /// By how much the points miss the keypoints, if the frame misses most of what it should show.
+    pub(crate) doubtful_misfit: Option<f64>,
     /// The keyframe that shares most points with the frame.
     pub(crate) reference: KeyframeId,
 }
@@ -104,6 +107,9 @@ pub(crate) fn track(
         let Ok(tracked) = track_local_map(optics, map, frame, &first, search.whereabouts) else {
             continue;
         };
+        if motion.is_chance(tracked.doubtful_misfit) {
+            continue;
+        }
         let suffices = tracked.is_placed || motion.expects_no_more_than(tracked.inlier_count);
         let known = best.as_ref().map(|(best, _)| best.rank());
         if known.is_none_or(|known| tracked.rank() > known) {
@@ -210,6 +216,9 @@ pub(crate) fn track_local_map(
         inlier_count: fit.inlier_count,
         ranged_count: seen_count,
         is_placed: are_placing(map, &fit.camera_from_map, &frame.observations),
+        doubtful_misfit: doubtful
+            .then(|| misfit(map, &fit.camera_from_map, &frame.observations))
+            .flatten(),
         reference,
     })
 }
@@ -226,6 +235,7 @@ mod tests {
             inlier_count: 300,
             ranged_count,
             is_placed,
+            doubtful_misfit: None,
             reference: KeyframeId(0),
         };
         assert!(found(true, RECOGNISED_INLIERS_MIN).is_certain());

@@ -76,3 +76,19 @@ fn a_handful_of_points_is_a_coincidence() {
     assert!(!placed(&points(11, 0.5, 1.0)));
     assert!(!placed(&[]));
 }
+
+#[test]
+fn the_misfit_counts_standard_deviations_in_the_median() {
+    let (map, id) = map_of(&points(16, 0.5, 1.0));
+    let keyframe = map.keyframe(id).unwrap();
+    let mut observations = keyframe.observations.clone();
+    for (idx, observation) in observations.iter_mut().enumerate() {
+        // One is wrong by far.
+        let off = if idx == 3 { 900.0 } else { 0.7 };
+        observation.position.x += off * observation.sigma;
+    }
+    let misfit_of =
+        |observations: &[Observation]| misfit(&map, &Transform::identity(), observations);
+    assert!((misfit_of(&observations).unwrap() - 0.7).abs() < 1e-9);
+    assert_eq!(misfit_of(&[]), None);
+}

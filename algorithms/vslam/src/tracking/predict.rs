@@ -6,7 +6,7 @@ use nalgebra::UnitQuaternion;
 use super::refine::STEP_KEPT;
 use super::{TrackedFrame, Whereabouts};
 use crate::VslamMap;
-use crate::held::are_placing;
+use crate::held::{are_placing, misfit};
 use crate::map::Place;
 
 /// Velocity is carried on for at most this many frame intervals.
@@ -14,6 +14,10 @@ const EXTRAPOLATION_MAX: f64 = 4.0;
 
 /// A gyroscope and the camera agree on a turn of some frames within this.
 const TURN_ERROR_RAD_MAX: f64 = 0.1;
+/// How much of a frame's misfit enters into what is usual.
+const MISFIT_LEARNED: f64 = 0.1;
+/// A doubtful pose of which the points miss by so much more than usual was found by chance.
+const MISFIT_RATIO_MAX: f64 = 1.8;
 /// A camera that only turns may go on for so long; what it does beside is not known.
 const UNPLACED_MAX_S: f64 = 1.0;
 
@@ -30,6 +34,8 @@ pub(crate) struct Motion {
     placed_at: Timestamp,
     /// How fast it may still be since, per second.
     speed_max: f64,
+    /// By how much points miss keypoints, usually.
+    usual_misfit: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -54,6 +60,7 @@ impl Motion {
             turn: None,
             missed_count: 0,
             speed_max: 0.0,
+            usual_misfit: None,
         }
     }
 
@@ -90,6 +97,11 @@ impl Motion {
                 interval_s,
             });
         let pose = pose(&next);
+        let misfit = pose.and_then(|pose| misfit(map, &pose, &next.observations));
+        if let Some(misfit) = misfit {
+            let usual = self.usual_misfit.get_or_insert(misfit);
+            *usual += MISFIT_LEARNED * (misfit - *usual);
+        }
         if pose.is_some_and(|pose| are_placing(map, &pose, &next.observations)) {
             self.placed_at = next.captured_at;
             self.speed_max = self.velocity.map_or(0.0, |velocity| velocity.speed());
@@ -114,6 +126,14 @@ impl Motion {
     /// The pose of the last frame, corrected with the map since.
     pub(crate) fn last_pose(&self, map: &VslamMap) -> Option<Transform<Camera, Map>> {
         map.pose(&self.last.place)
+    }
+
+    /// Whether the points of a doubtful pose miss its keypoints by far more than they usually do,
+    /// and no gyroscope says where they must be: in a smeared image of a fast turn they do miss.
+    pub(crate) fn is_chance(&self, doubtful_misfit: Option<f64>) -> bool {
+        let pair = doubtful_misfit.zip(self.usual_misfit);
+        let pair = pair.filter(|_| self.turn.is_none());
+        pair.is_some_and(|(misfit, usual)| misfit > MISFIT_RATIO_MAX * usual)
     }
 
     /// Whether it is too long ago that a place was measured, for one that is only expected.
