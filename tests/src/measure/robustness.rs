@@ -160,4 +160,13 @@ mod tests {
             assert!(trial.final_count <= trial.frame_count, "{trial:?}");
         }
     }
+
+    /// After a turn of 90° few keypoints find the points that they should; those that do by chance
+    /// once put the camera half a metre beside its way.
+    #[test]
+    fn a_turn_is_not_followed_by_poses_found_by_chance() {
+        let trial = run(&draw(1, 107));
+        assert!(trial.fault().is_none(), "{trial:?}");
+        assert!(trial.live_count > 60, "{trial:?}");
+    }
 }
