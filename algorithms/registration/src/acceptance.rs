@@ -6,6 +6,7 @@ use nalgebra::{SMatrix, SymmetricEigen, Vector3};
 use crate::alignment::{Metric, Quality, Refusal, Source, Target};
 use crate::cloud::{ShapedCloud, to_single};
 use crate::icp::{Icp, NormalEquations, Pair, overlap_of_target};
+use crate::median::median;
 
 /// Of the larger and of the smaller of the two overlaps.
 const OVERLAP_MIN: (f64, f64) = (0.45, 0.25);
@@ -85,7 +86,9 @@ pub(crate) fn measure(
     let pair_count = pairs.len().max(1) as f64;
     Quality {
         rmse_m: (squares / pair_count).sqrt(),
-        distance_m_p50: median(&mut distances).map_or(0.0, f64::from).sqrt(),
+        distance_m_p50: median(&mut distances, f32::total_cmp)
+            .map_or(0.0, f64::from)
+            .sqrt(),
         surface_rmse_m: (surface_squares / pair_count).sqrt(),
         overlap_source,
         overlap_target,
@@ -204,15 +207,6 @@ fn along(direction: &Vector3<f64>, lever: &Vector3<f64>) -> Tangent7 {
     column
 }
 
-fn median(values: &mut [f32]) -> Option<f32> {
-    let rank = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    let (_, median, _) = values.select_nth_unstable_by(rank, f32::total_cmp);
-    Some(*median)
-}
-
 /// How well the normals of pairs agree, where both have one.
 #[derive(Clone, Copy, Debug, Default)]
 struct NormalAgreement {
@@ -247,6 +241,10 @@ fn contrast(
         capped_squares(source, target, target_from_source, &shift, width)
     });
     let elsewhere = shifted.sum::<f64>() / 6.0;
+    if elsewhere <= 0.0 {
+        // A cloud that fills space fits wherever it is moved.
+        return 1.0;
+    }
     capped_squares(source, target, target_from_source, &Vector3::zeros(), width) / elsewhere
 }
 
@@ -303,4 +301,25 @@ fn name_direction(direction: &SMatrix<f64, 7, 1>) -> String {
     // Adding zero turns −0 into 0.
     let [x, y, z] = std::array::from_fn(|idx| (axis[idx] * 100.0).round() / 100.0 + 0.0);
     format!("{kind} ({x:.2}, {y:.2}, {z:.2})")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::Cloud;
+
+    /// A lattice that is as wide as a shift is the same after it.
+    #[test]
+    fn what_fits_wherever_it_is_moved_has_no_contrast() {
+        let width = 1.0;
+        let lattice =
+            (0..27).map(|idx| Vector3::from([idx % 3, idx / 3 % 3, idx / 9].map(f64::from)));
+        let target: Vec<_> = lattice.map(|point| point * SHIFT_WIDTHS * width).collect();
+        let target = ShapedCloud::new(&Cloud::from_points(target), None);
+        let source = ShapedCloud::new(&Cloud::from_points(vec![Vector3::zeros()]), None);
+        assert_eq!(
+            contrast(&source, &target, &Similarity::identity(), width),
+            1.0
+        );
+    }
 }

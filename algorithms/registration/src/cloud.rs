@@ -1,13 +1,16 @@
 //! A set of points as it comes from a file or a map.
 
 mod axes;
+mod bounds;
 mod shape;
 mod thin;
 
 use nalgebra::{Matrix3, Vector3};
 
+pub(crate) use bounds::bounds;
 pub use shape::ShapedCloud;
 pub(crate) use shape::{PLANE_THICKNESS, Shape, to_single};
+pub(crate) use thin::thinned;
 
 /// Points, and what is known about their appearance.
 ///

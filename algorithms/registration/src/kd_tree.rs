@@ -144,7 +144,8 @@ impl KdTree {
         NearestTwo { first, second }
     }
 
-    /// The `count` nearest points, nearest first, into `found`.
+    /// The `count` nearest points, nearest first, into `found`; those that are not finite are
+    /// near to nothing.
     pub fn nearest_many(&self, query: [f32; 3], count: usize, found: &mut Vec<Neighbour>) {
         found.clear();
         if count == 0 {
@@ -156,7 +157,7 @@ impl KdTree {
                 let mut limit = limit;
                 let distances = leaf.distances_squared(query);
                 for (distance_squared, idx) in distances.into_iter().zip(leaf.idx) {
-                    if distance_squared >= limit {
+                    if distance_squared.is_nan() || distance_squared >= limit {
                         continue;
                     }
                     if found.len() == count {
@@ -407,6 +408,11 @@ mod tests {
         let tree = KdTree::new(&[[f32::NAN, 0.0, 0.0], [5.0, 0.0, 0.0]]);
         assert_eq!(tree.nearest([0.0; 3], f32::INFINITY).unwrap().idx, 1);
         assert!(KdTree::new(&[]).nearest([0.0; 3], f32::INFINITY).is_none());
+        let mut found = Vec::new();
+        tree.nearest_many([0.0; 3], 2, &mut found);
+        assert_eq!(found.iter().map(|one| one.idx).collect::<Vec<_>>(), [1]);
+        tree.nearest_many([f32::NAN; 3], 2, &mut found);
+        assert!(found.is_empty());
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod gravity;
 mod icp;
 pub mod kd_tree;
 pub mod localizer;
+mod median;
 pub mod register;
 pub mod search;
 

@@ -6,6 +6,7 @@ mod by_shape;
 mod consensus;
 mod local_shape;
 mod mutual;
+mod nearest_few;
 
 use geometry::Similarity;
 use nalgebra::Vector3;
@@ -15,6 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::alignment::{Refusal, RegisterSettings, Source, Target};
 use crate::cloud::{Descriptors, ShapedCloud};
 use crate::evidence::{Clue, Evidence, false_alarms_log10};
+use crate::median::median;
 use agreement::Agreement;
 use appearance::{Seen, match_mutual};
 use by_shape::find_by_shape;
@@ -123,11 +125,7 @@ fn seen<'a, D>(cloud: &'a ShapedCloud, descriptors: &'a [D]) -> Seen<'a, D> {
 /// The median distance from the centre, which few far points do not move.
 fn middle_radius(points: &[Vector3<f64>]) -> f64 {
     let mut distances: Vec<f64> = points.iter().map(Vector3::norm).collect();
-    let middle = distances.len() / 2;
-    if distances.is_empty() {
-        return 0.0;
-    }
-    *distances.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(&mut distances, f64::total_cmp).unwrap_or(0.0)
 }
 
 #[cfg(test)]

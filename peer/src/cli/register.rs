@@ -8,8 +8,8 @@ use clap::ValueEnum;
 use geometry::{Matrix7, Similarity};
 use nalgebra::{Matrix3, Matrix4, UnitQuaternion, Vector3};
 use registration::{
-    Alignment, Cloud, Gravity, Metric, Outcome, Quality, RegisterSettings, ShapedCloud, Source,
-    Start, Target, is_usable,
+    Alignment, Cloud, Gravity, Metric, Outcome, RegisterSettings, ShapedCloud, Source, Start,
+    Target, is_usable,
 };
 use serde::Serialize;
 
@@ -317,7 +317,7 @@ fn similarity_from(matrix: &Matrix4<f64>) -> Option<Similarity<Target, Source>> 
 fn summarise(outcome: &Outcome, ms_preprocess: f64, ms_align: f64) -> RegisterSummary {
     let (reason, quality, alignment) = match outcome {
         Outcome::Accepted(alignment) => (
-            accepted_reason(&alignment.quality),
+            "the clouds agree".to_owned(),
             Some(&alignment.quality),
             Some(alignment),
         ),
@@ -341,15 +341,6 @@ fn summarise(outcome: &Outcome, ms_preprocess: f64, ms_align: f64) -> RegisterSu
         ms_preprocess,
         ms_align,
         covariance: alignment.and_then(|alignment| covariance_rows(alignment)),
-    }
-}
-
-fn accepted_reason(quality: &Quality) -> String {
-    if quality.weak_directions.is_empty() {
-        "the clouds agree".to_owned()
-    } else {
-        let directions = quality.weak_directions.join(", ");
-        format!("the clouds agree; hardly fixed: {directions}")
     }
 }
 

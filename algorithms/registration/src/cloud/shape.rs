@@ -6,6 +6,7 @@ use super::axes::{eigenvalues, eigenvector};
 use super::thin::{Cubes, Moments};
 use super::{Cloud, Descriptors};
 use crate::kd_tree::{KdTree, Neighbour};
+use crate::median::median;
 
 /// Neighbours that a point's shape is estimated from.
 const NEIGHBOUR_COUNT: usize = 10;
@@ -168,13 +169,9 @@ impl ShapedCloud {
         self.radius = (squares / count).sqrt();
         let mut gaps = self.gaps.clone();
         gaps.retain(|gap| gap.is_finite());
-        let middle = gaps.len() / 2;
-        self.spacing = if gaps.is_empty() {
-            0.0
-        } else {
-            let (_, median, _) = gaps.select_nth_unstable_by(middle, f32::total_cmp);
-            f64::from(*median).sqrt()
-        };
+        self.spacing = median(&mut gaps, f32::total_cmp)
+            .map_or(0.0, f64::from)
+            .sqrt();
     }
 }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Cloud, Descriptors};
+use super::{Cloud, Descriptors, bounds};
 
 /// The points in one cube.
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +35,7 @@ const CUBE_COUNT_MAX: f64 = 4e9;
 
 impl Keys {
     fn extent(points: &[Vector3<f64>]) -> f64 {
-        let (lowest, highest) = bounds(points);
+        let (lowest, highest) = bounds(points.iter().copied());
         (highest - lowest).amax()
     }
 
@@ -48,7 +48,7 @@ impl Keys {
     }
 
     fn over(points: &[Vector3<f64>], edge_m: f64) -> Self {
-        let (lowest, highest) = bounds(points);
+        let (lowest, highest) = bounds(points.iter().copied());
         let extent = (highest - lowest).amax();
         let per_m = 1.0 / edge_m.max(extent / CUBE_COUNT_MAX);
         let lowest = lowest.map(|one| (one * per_m).floor());
@@ -128,14 +128,10 @@ fn sorted_above(mut all: Vec<u64>, bit_count: u32) -> Vec<u64> {
     all
 }
 
-fn bounds(points: &[Vector3<f64>]) -> (Vector3<f64>, Vector3<f64>) {
-    let nowhere = (
-        Vector3::repeat(f64::INFINITY),
-        Vector3::repeat(f64::NEG_INFINITY),
-    );
-    points.iter().fold(nowhere, |(lowest, highest), point| {
-        (lowest.inf(point), highest.sup(point))
-    })
+/// The mean of the points in each cube of this edge.
+pub(crate) fn thinned(points: &[Vector3<f64>], edge: f64) -> Vec<Vector3<f64>> {
+    let cubes = Cubes::of(points, edge);
+    cubes.moments.iter().map(|cube| cube.mean).collect()
 }
 
 impl Moments {

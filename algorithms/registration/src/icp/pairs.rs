@@ -4,7 +4,7 @@ use geometry::Similarity;
 use nalgebra::Vector3;
 
 use crate::alignment::{Source, Target};
-use crate::cloud::{ShapedCloud, to_single};
+use crate::cloud::{ShapedCloud, bounds, to_single};
 use crate::kd_tree::KdTree;
 
 #[derive(Clone, Copy, Debug)]
@@ -130,7 +130,7 @@ impl Pairing {
     ) -> Self {
         let of_source = Seekers::new((0..source.points.len() as u32).collect());
         let of_target = reach.map(|reach| {
-            let (lowest, highest) = bounds(source, target_from_source, reach);
+            let (lowest, highest) = bounds_of_aligned(source, target_from_source, reach);
             let members = (0..target.points.len() as u32)
                 .filter(|idx| is_between(&target.points[*idx as usize], &lowest, &highest));
             Seekers::new(members.collect()).sampled(source.points.len())
@@ -228,7 +228,7 @@ pub(crate) fn overlap_of_target(
     target_from_source: &Similarity<Target, Source>,
     distance: f64,
 ) -> f64 {
-    let (lowest, highest) = bounds(source, target_from_source, 0.0);
+    let (lowest, highest) = bounds_of_aligned(source, target_from_source, 0.0);
     let back = target_from_source.inverse();
     let limit = ((distance * back.scale()) as f32).powi(2);
     let (mut near_count, mut boxed_count) = (0_usize, 0_usize);
@@ -244,19 +244,15 @@ pub(crate) fn overlap_of_target(
 }
 
 /// The corners of the box around the aligned source, `margin` larger on each side.
-fn bounds(
+fn bounds_of_aligned(
     source: &ShapedCloud,
     target_from_source: &Similarity<Target, Source>,
     margin: f64,
 ) -> (Vector3<f64>, Vector3<f64>) {
-    let mut lowest = Vector3::repeat(f64::INFINITY);
-    let mut highest = Vector3::repeat(f64::NEG_INFINITY);
     let linear = target_from_source.linear_matrix();
-    for point in &source.points {
-        let moved = linear * point + target_from_source.translation();
-        lowest = lowest.inf(&moved);
-        highest = highest.sup(&moved);
-    }
+    let points = source.points.iter();
+    let (lowest, highest) =
+        bounds(points.map(|point| linear * point + target_from_source.translation()));
     (lowest.add_scalar(-margin), highest.add_scalar(margin))
 }
 

@@ -4,6 +4,8 @@ use features::Descriptor;
 use features::matching::DescriptorColumns;
 use nalgebra::Vector3;
 
+use super::nearest_few::NearestFew;
+
 /// What a point looks like, so that two clouds can be compared.
 pub trait Appearance: Copy {
     /// The nearest must be nearer than this share of the second nearest that is another thing.
@@ -133,13 +135,13 @@ fn nearest_in<D: Appearance>(
     sketches: &[Descriptor],
     among: Seen<'_, D>,
 ) -> Vec<Option<usize>> {
-    let mut candidates = vec![Candidates::default(); queries.len()];
+    let mut candidates = vec![Candidates::new(u16::MAX); queries.len()];
     let mut distances = Vec::with_capacity(BLOCK_SIZE);
     for (block_idx, block) in sketches.chunks(BLOCK_SIZE).enumerate() {
         let columns = DescriptorColumns::new(block);
         for (sketch, candidates) in query_sketches.iter().zip(&mut candidates) {
             columns.distances(sketch, &mut distances);
-            candidates.offer_all(&distances, (block_idx * BLOCK_SIZE) as u32);
+            offer_all(candidates, &distances, (block_idx * BLOCK_SIZE) as u32);
         }
     }
     let pairs = queries.iter().zip(&candidates);
@@ -153,10 +155,9 @@ fn clearly_nearest<D: Appearance>(
     candidates: &Candidates,
     among: Seen<'_, D>,
 ) -> Option<usize> {
-    let full = candidates.known().map(|idx| {
-        let idx = idx as usize;
-        (query.distance(&among.descriptors[idx]), idx)
-    });
+    let full = candidates
+        .known()
+        .map(|idx| (query.distance(&among.descriptors[idx]), idx));
     let (distance, best) = full.clone().min_by(|a, b| a.0.total_cmp(&b.0))?;
     let is_other = |idx: usize| {
         let apart = among.points[idx] - among.points[best];
@@ -167,49 +168,21 @@ fn clearly_nearest<D: Appearance>(
     (distance < D::RATIO_MAX * second).then_some(best)
 }
 
-/// The nearest sketches so far with their distances, nearest first, the lower index first among
-/// equals.
-#[derive(Clone, Copy)]
-struct Candidates([(u16, u32); CANDIDATE_COUNT]);
+type Candidates = NearestFew<u16, CANDIDATE_COUNT>;
 
-impl Default for Candidates {
-    fn default() -> Self {
-        Self([(u16::MAX, u32::MAX); CANDIDATE_COUNT])
-    }
-}
-
-impl Candidates {
-    /// - `first_idx`: of what the first distance belongs to.
-    fn offer_all(&mut self, distances: &[u16], first_idx: u32) {
-        const LANES: usize = 32;
-        for (chunk_idx, chunk) in distances.chunks(LANES).enumerate() {
-            // Most have nothing near: one pass without branches says so.
-            let nearest = chunk.iter().fold(u16::MAX, |low, one| low.min(*one));
-            if nearest >= self.0[CANDIDATE_COUNT - 1].0 {
-                continue;
-            }
-            let chunk_first_idx = first_idx + (chunk_idx * LANES) as u32;
-            for (idx, distance) in (chunk_first_idx..).zip(chunk) {
-                self.offer(*distance, idx);
-            }
+/// - `first_idx`: of what the first distance belongs to.
+fn offer_all(candidates: &mut Candidates, distances: &[u16], first_idx: u32) {
+    const LANES: usize = 32;
+    for (chunk_idx, chunk) in distances.chunks(LANES).enumerate() {
+        // Most have nothing near: one pass without branches says so.
+        let nearest = chunk.iter().fold(u16::MAX, |low, one| low.min(*one));
+        if nearest >= candidates.limit() {
+            continue;
         }
-    }
-
-    fn offer(&mut self, distance: u16, idx: u32) {
-        let mut place = CANDIDATE_COUNT - 1;
-        if distance >= self.0[place].0 {
-            return;
+        let chunk_first_idx = first_idx + (chunk_idx * LANES) as u32;
+        for (idx, distance) in (chunk_first_idx..).zip(chunk) {
+            candidates.offer(*distance, idx);
         }
-        while place > 0 && self.0[place - 1].0 > distance {
-            self.0[place] = self.0[place - 1];
-            place -= 1;
-        }
-        self.0[place] = (distance, idx);
-    }
-
-    fn known(&self) -> impl Iterator<Item = u32> + Clone {
-        let known = self.0.iter().filter(|(_, idx)| *idx != u32::MAX);
-        known.map(|(_, idx)| *idx)
     }
 }
 

@@ -28,6 +28,8 @@ const RIVAL_SHARE_MAX: f64 = 0.5;
 #[derive(Clone, Copy)]
 struct Ranked {
     target_from_source: Similarity<Target, Source>,
+    /// The correspondences that it was sought among.
+    offered_count: usize,
     inlier_count: usize,
     false_alarms_log10: f64,
     /// Of the source points that agree.
@@ -48,7 +50,6 @@ pub(super) fn find_by_shape(
         &SCALE_RATIOS[..1]
     };
     let mut ranked: Vec<Ranked> = Vec::new();
-    let mut offered_count = 0;
     for ratio in ratios {
         let scale = if settings.with_scale {
             ratio * target.radius / source.radius
@@ -58,9 +59,7 @@ pub(super) fn find_by_shape(
         if !scale.is_finite() || scale <= 0.0 {
             break;
         }
-        let (count, found) = at_scale(source, target, scale, inlier_distance, settings);
-        offered_count = offered_count.max(count);
-        ranked.extend(found);
+        ranked.extend(at_scale(source, target, scale, inlier_distance, settings));
         ranked.sort_by(|a, b| a.false_alarms_log10.total_cmp(&b.false_alarms_log10));
         let best = ranked.first().map(|best| best.false_alarms_log10);
         if best.is_some_and(|best| best < SIGNIFICANCE_SURE) {
@@ -74,7 +73,7 @@ pub(super) fn find_by_shape(
         .find(|rival| !is_near(&start, &rival.target_from_source, source.radius));
     let evidence = Evidence {
         clue: Clue::Shape,
-        offered_count,
+        offered_count: best.offered_count,
         consistent_count: best.inlier_count,
         runner_up_count: rival.map_or(0, |rival| rival.inlier_count),
         false_alarms_log10: best.false_alarms_log10,
@@ -95,14 +94,14 @@ pub(super) fn find_by_shape(
     })
 }
 
-/// Alignments near this scale, and how many correspondences they were sought among.
+/// Alignments near this scale.
 fn at_scale(
     source: &ShapedCloud,
     target: &ShapedCloud,
     scale: f64,
     inlier_distance: f64,
     settings: &RegisterSettings,
-) -> (usize, Vec<Ranked>) {
+) -> Vec<Ranked> {
     let mut pairs =
         local_shape::correspondences(source, target, target.radius / scale, target.radius);
     for Correspondence { in_source, .. } in &mut pairs {
@@ -126,12 +125,13 @@ fn at_scale(
                 *scaled.rotation(),
                 *scaled.translation(),
             ),
+            offered_count: pairs.len(),
             inlier_count: hypothesis.inlier_count,
             false_alarms_log10: significance_of(&pairs, hypothesis, inlier_distance),
             spread: Agreement::new(&pairs, scaled, inlier_distance).spread() / scale,
         }
     });
-    (pairs.len(), ranked.collect())
+    ranked.collect()
 }
 
 /// Whether two alignments move no point of the cloud far apart.

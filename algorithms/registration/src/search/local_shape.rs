@@ -3,13 +3,11 @@
 //! Like fast point feature histograms (Rusu et al. 2009), but blind to the sign of the normals,
 //! which has no meaning in a cloud without viewpoints.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::consensus::Correspondence;
 use super::mutual::mutual;
-use crate::cloud::{ShapedCloud, to_single};
+use crate::cloud::{ShapedCloud, thinned, to_single};
 use crate::kd_tree::{KdTree, Neighbour};
 
 const BIN_COUNT: usize = 11;
@@ -100,21 +98,6 @@ fn describe(points: &[Vector3<f64>], radius: f64) -> Described {
         }
     }
     described
-}
-
-/// The mean of the points in each cube of this edge.
-fn thinned(points: &[Vector3<f64>], edge: f64) -> Vec<Vector3<f64>> {
-    let mut cubes: BTreeMap<[i64; 3], (Vector3<f64>, f64)> = BTreeMap::new();
-    for point in points {
-        let cell = std::array::from_fn(|axis| (point[axis] / edge).floor() as i64);
-        let cube = cubes.entry(cell).or_insert((Vector3::zeros(), 0.0));
-        cube.0 += point;
-        cube.1 += 1.0;
-    }
-    cubes
-        .into_values()
-        .map(|(sum, count)| sum / count)
-        .collect()
 }
 
 /// Across the plane that fits best.

@@ -1,5 +1,7 @@
 //! Which items of two lists are among each other's nearest.
 
+use super::nearest_few::NearestFew;
+
 /// Each may be the partner of so many others: alike shapes differ by little, and consensus finds
 /// the right one among several.
 const RANK_COUNT: usize = 4;
@@ -10,13 +12,13 @@ pub(crate) fn mutual<D>(
     target: &[D],
     distance: impl Fn(&D, &D) -> f32,
 ) -> Vec<(usize, usize)> {
-    let mut of_source = vec![Ranking::default(); source.len()];
-    let mut of_target = vec![Ranking::default(); target.len()];
+    let mut of_source = vec![NearestFew::<f32, RANK_COUNT>::new(f32::INFINITY); source.len()];
+    let mut of_target = vec![NearestFew::<f32, RANK_COUNT>::new(f32::INFINITY); target.len()];
     for (source_idx, in_source) in source.iter().enumerate() {
         for (target_idx, in_target) in target.iter().enumerate() {
             let distance = distance(in_source, in_target);
-            of_source[source_idx].offer(target_idx, distance);
-            of_target[target_idx].offer(source_idx, distance);
+            of_source[source_idx].offer(distance, target_idx as u32);
+            of_target[target_idx].offer(distance, source_idx as u32);
         }
     }
     let mut pairs = Vec::new();
@@ -28,33 +30,4 @@ pub(crate) fn mutual<D>(
         }
     }
     pairs
-}
-
-/// The nearest so far, nearest first; the first offered wins a tie.
-#[derive(Clone, Copy)]
-struct Ranking([(f32, u32); RANK_COUNT]);
-
-impl Default for Ranking {
-    fn default() -> Self {
-        Self([(f32::INFINITY, u32::MAX); RANK_COUNT])
-    }
-}
-
-impl Ranking {
-    fn offer(&mut self, idx: usize, distance: f32) {
-        if distance >= self.0[RANK_COUNT - 1].0 {
-            return;
-        }
-        let mut place = RANK_COUNT - 1;
-        while place > 0 && self.0[place - 1].0 > distance {
-            self.0[place] = self.0[place - 1];
-            place -= 1;
-        }
-        self.0[place] = (distance, idx as u32);
-    }
-
-    fn known(&self) -> impl Iterator<Item = usize> {
-        let known = self.0.iter().filter(|(_, idx)| *idx != u32::MAX);
-        known.map(|(_, idx)| *idx as usize)
-    }
 }

@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::fit::Fit;
 use super::{Correspondence, Hypothesis};
 use crate::alignment::{Source, Target};
+use crate::median::median;
 
 /// From the rough pose of a sample to that of its inliers, in inlier distances.
 const WIDTHS: [f64; 3] = [2.0, 1.4, 1.0];
@@ -89,12 +90,7 @@ impl Support {
         let placed = Placed::new(pose);
         let all = self.pairs.iter().map(|pair| placed.distance(pair));
         distances.extend(all.filter(|distance| *distance <= self.inlier_distance));
-        let middle = distances.len() / 2;
-        let median = if distances.is_empty() {
-            self.inlier_distance
-        } else {
-            *distances.select_nth_unstable_by(middle, f64::total_cmp).1
-        };
+        let median = median(&mut distances, f64::total_cmp).unwrap_or(self.inlier_distance);
         self.distances = distances;
         (WIDTH_MEDIANS * median).clamp(WIDTH_MIN * self.inlier_distance, self.inlier_distance)
     }
