@@ -19,7 +19,9 @@ def get(selector):
 
 
 for key, manifest in get("anchor/*/map"):
-    print(key, manifest["epoch"], manifest["chunk_count"], "chunks; held by", manifest["holder"])
+    rests_on = manifest.get("provenance")  # only of maps that are registered to others
+    print(key, manifest["epoch"], manifest["chunk_count"], "chunks; held by", manifest["holder"],
+          *(["; registered, rests on", *rests_on] if rests_on else []))
 
 key, chunk = get("anchor/*/map/*/*")[0]
 steps = numpy.frombuffer(chunk["points"].value, "<u2").reshape(-1, 3)

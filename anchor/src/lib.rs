@@ -11,5 +11,5 @@ mod simulation;
 pub use fix::{FixCounts, FixPosition, Heading, PositionFix};
 pub use georeference::{Georeference, Georeferencer, NotObservable};
 pub use input::{FrameInput, KeyframeInput, KeyframePose, PointInput, keyframe_poses};
-pub use machine::{Anchor, Counts, Effect, Event};
+pub use machine::{Anchor, Counts, Effect, Event, Registration};
 pub use settings::{AnchorSettings, CutSettings, GeoreferenceSettings};

@@ -2,12 +2,13 @@
 
 mod cutting;
 mod placing;
+mod registered;
 
 use std::time::Duration;
 
 use geodesy::Datum;
 use geometry::{Enu, Map, Matrix7, Similarity, Timestamp};
-use protocol::{Chunk, Epoch, Manifest, MapId, Placement, PlacementPage, VehicleState};
+use protocol::{Chunk, Epoch, Manifest, MapId, Placement, PlacementPage, Reference, VehicleState};
 use vslam::KeyframeId;
 
 use crate::georeference::LocalFix;
@@ -17,6 +18,8 @@ use crate::{
 };
 use cutting::Cutter;
 use placing::Placer;
+
+pub use registered::Registration;
 
 /// What happens to an anchor.
 #[derive(Clone, Debug)]
@@ -33,6 +36,9 @@ pub enum Event {
     /// are named; the others move with them.
     KeyframesMoved(Vec<KeyframePose>),
     Fix(PositionFix),
+    /// Where a map stands that has no fixes of its own, or `None` while nobody can say; only for
+    /// [`Anchor::registered`].
+    Registered(Option<Box<Registration>>),
     /// Time passed; a few times a second.
     Tick,
     /// Another map took the place of this one, be it new or an earlier one that was found again:
@@ -76,10 +82,13 @@ pub struct Counts {
     pub chunks_replaced: u64,
 }
 
-/// A vehicle with a position source, in the role that others depend on.
+/// A vehicle whose map others use: one with a position source, or one that is registered to the
+/// maps of others and says so.
 #[derive(Debug)]
 pub struct Anchor {
     settings: AnchorSettings,
+    /// How the map comes to its place.
+    reference: Reference,
     map: MapId,
     datum: Option<Datum>,
     georeferencer: Georeferencer,
@@ -97,6 +106,10 @@ pub struct Anchor {
 impl Anchor {
     /// An anchor without a map. `epoch` is one above the highest that is known.
     pub fn new(settings: AnchorSettings, epoch: Epoch) -> Self {
+        Self::with_reference(settings, epoch, Reference::Fixed)
+    }
+
+    fn with_reference(settings: AnchorSettings, epoch: Epoch, reference: Reference) -> Self {
         let map = MapId {
             anchor: settings.vehicle.clone(),
             epoch,
@@ -105,7 +118,8 @@ impl Anchor {
             georeferencer: Georeferencer::new(settings.georeference.clone()),
             georeference: None,
             cutter: Cutter::default(),
-            placer: Placer::default(),
+            placer: Placer::new(reference),
+            reference,
             state: VehicleState::NoMap,
             reason: "no keyframe yet".to_owned(),
             last_fix_at: None,
@@ -122,10 +136,13 @@ impl Anchor {
     pub fn handle(&mut self, event: Event, now: Timestamp) -> Vec<Effect> {
         let mut effects = Vec::new();
         match event {
-            Event::Frame(frame) => self.georeferencer.insert_frame(&frame),
+            Event::Frame(frame) if self.is_fixed() => self.georeferencer.insert_frame(&frame),
             Event::KeyframeInserted(pose) => {
-                self.georeferencer.insert_keyframe(pose);
+                if self.is_fixed() {
+                    self.georeferencer.insert_keyframe(pose);
+                }
                 self.cutter.insert(pose, now);
+                self.forget_unplaced();
             }
             Event::KeyframeSettled(keyframe) => {
                 if let Some(depth) = keyframe.median_depth() {
@@ -140,13 +157,19 @@ impl Anchor {
                     self.next_solve_at = None;
                 }
             }
-            Event::Fix(fix) => self.take_fix(fix),
-            Event::Tick => {}
+            Event::Fix(fix) if self.is_fixed() => self.take_fix(fix),
+            Event::Registered(registration) => {
+                self.take_registration(registration, &mut effects);
+            }
+            // A map without fixes of its own asks for no ties to them.
+            Event::Frame(_) | Event::Fix(_) | Event::Tick => {}
             Event::MapRestarted { epoch_random } => self.restart(epoch_random),
         }
-        let due = self.cutter.due(now, &self.settings.cut);
-        effects.extend(due.into_iter().map(Effect::RequestKeyframe));
-        if self.next_solve_at.is_none_or(|next| now >= next) {
+        if self.may_cut() {
+            let due = self.cutter.due(now, &self.settings.cut);
+            effects.extend(due.into_iter().map(Effect::RequestKeyframe));
+        }
+        if self.is_fixed() && self.next_solve_at.is_none_or(|next| now >= next) {
             self.solve(now, &mut effects);
         }
         if self.next_placement_at.is_none_or(|next| now >= next) {
@@ -232,10 +255,13 @@ impl Anchor {
         self.georeferencer = Georeferencer::new(self.settings.georeference.clone());
         self.georeference = None;
         self.cutter = Cutter::default();
-        self.placer = Placer::default();
+        self.placer = Placer::new(self.reference);
         self.next_solve_at = None;
         self.next_placement_at = None;
         self.counts = counts;
+        if !self.is_fixed() {
+            self.state = VehicleState::NoMap;
+        }
     }
 
     /// What may be said now, from the newest attempt to solve.
@@ -268,7 +294,11 @@ impl Anchor {
             }
             Err(why) => Some(why),
         };
-        let (state, reason) = self.judge(attempt, now);
+        let judged = self.judge(attempt, now);
+        self.enter(judged, effects);
+    }
+
+    fn enter(&mut self, (state, reason): (VehicleState, String), effects: &mut Vec<Effect>) {
         if (state, &reason) != (self.state, &self.reason) {
             if state == VehicleState::Global && !self.placer.is_placed() {
                 // Others wait for nothing else.
@@ -289,6 +319,9 @@ impl Anchor {
             self.placer
                 .publish(solved, &self.map, self.datum.as_ref(), &self.settings),
         );
+        if !self.is_fixed() {
+            self.forget_placed();
+        }
     }
 }
 

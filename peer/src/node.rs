@@ -12,6 +12,7 @@ mod peer_role;
 mod peer_tie;
 mod places;
 mod receive;
+mod sharing;
 mod shelf;
 mod status;
 mod surroundings;
@@ -122,6 +123,8 @@ pub struct NodeSettings {
     pub stale_after_s: f64,
     pub global_sigma_m: Option<f64>,
     pub seed: u64,
+    /// How the epochs of the own map are named.
+    pub epoch_start: EpochStart,
     /// Where the map is adjusted as a whole; see [`VslamSettings::background`].
     pub background: Option<vslam::Background>,
 }
@@ -133,10 +136,15 @@ pub struct PositionSource {
     pub datum: Option<Datum>,
     /// The lever arm: where the antenna is (m).
     pub antenna_in_body: Vector3<f64>,
-    /// Of the first epoch: one above the highest that is known.
-    pub epoch_counter: u32,
+}
+
+/// The first epoch of a vehicle's map.
+#[derive(Clone, Copy, Debug)]
+pub struct EpochStart {
+    /// One above the highest that is known.
+    pub counter: u32,
     /// Makes the random part of epochs.
-    pub epoch_seed: u64,
+    pub seed: u64,
 }
 
 /// What went wrong or was odd, counted.
@@ -154,8 +162,14 @@ pub struct NodeCounters {
     pub impersonations: u64,
     /// The global pose moved by more than its uncertainty explained.
     pub jumps: u64,
+    /// Alignments that were wrong, and that keyframes which agree with each other have replaced.
+    #[serde(default)]
+    pub overruled: u64,
     /// Chunks that had to be asked for.
     pub chunks_pulled: u64,
+    /// Chunks and placements that rest on this vehicle's own map, and are no evidence for it.
+    #[serde(default)]
+    pub circular: u64,
 }
 
 /// The vehicle's state machine.
@@ -184,8 +198,10 @@ enum Role {
 impl Node {
     /// A vehicle without a position source.
     pub fn peer(settings: NodeSettings, calibration: Calibration) -> Self {
-        let role = Role::Peer(Box::new(PeerRole::new(settings.seed)));
-        Self::new(settings, calibration, role)
+        let anchor_settings = anchor_settings(&settings, &calibration);
+        let shared = AnchorRole::registered(anchor_settings, settings.epoch_start);
+        let role = PeerRole::new(settings.id.clone(), settings.seed, shared);
+        Self::new(settings, calibration, Role::Peer(Box::new(role)))
     }
 
     /// A vehicle with a position source.
@@ -194,19 +210,11 @@ impl Node {
         calibration: Calibration,
         source: &PositionSource,
     ) -> Self {
-        let camera = &calibration.camera;
-        let chunk_camera = ChunkCamera {
-            focal_length_px: camera.focal_length_px() as f32,
-            width_px: u16::try_from(camera.width()).unwrap_or(u16::MAX),
-            height_px: u16::try_from(camera.height()).unwrap_or(u16::MAX),
-        };
-        let mut anchor_settings = AnchorSettings::new(settings.id.clone(), chunk_camera);
+        let mut anchor_settings = anchor_settings(&settings, &calibration);
         anchor_settings.datum = source.datum.clone();
-        anchor_settings.stale_after_s = settings.stale_after_s;
-        anchor_settings.georeference.body_from_camera = calibration.body_from_camera;
         anchor_settings.georeference.antenna_in_body = source.antenna_in_body;
-        let role = Role::Anchor(Box::new(AnchorRole::new(anchor_settings, source)));
-        Self::new(settings, calibration, role)
+        let role = AnchorRole::new(anchor_settings, settings.epoch_start);
+        Self::new(settings, calibration, Role::Anchor(Box::new(role)))
     }
 
     fn new(settings: NodeSettings, calibration: Calibration, role: Role) -> Self {
@@ -392,4 +400,17 @@ impl Node {
             Role::Peer(role) => role.landmarks_in_enu(),
         }
     }
+}
+
+fn anchor_settings(settings: &NodeSettings, calibration: &Calibration) -> AnchorSettings {
+    let camera = &calibration.camera;
+    let chunk_camera = ChunkCamera {
+        focal_length_px: camera.focal_length_px() as f32,
+        width_px: u16::try_from(camera.width()).unwrap_or(u16::MAX),
+        height_px: u16::try_from(camera.height()).unwrap_or(u16::MAX),
+    };
+    let mut anchor_settings = AnchorSettings::new(settings.id.clone(), chunk_camera);
+    anchor_settings.stale_after_s = settings.stale_after_s;
+    anchor_settings.georeference.body_from_camera = calibration.body_from_camera;
+    anchor_settings
 }

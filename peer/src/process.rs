@@ -23,7 +23,7 @@ use protocol::keys::Key;
 use crate::config::VehicleConfig;
 use crate::files::create_folder;
 use crate::link::{Inbox, LinkEvent, inbox};
-use crate::node::{Event, Node, NodeSettings, PositionSource};
+use crate::node::{EpochStart, Event, Node, NodeSettings, PositionSource};
 use crate::station::{StationLoop, StationWindow};
 use crate::store::{Reloaded, Store};
 use control::{Order, Report};
@@ -160,11 +160,27 @@ fn open_node(
     reloaded: &[Reloaded],
 ) -> anyhow::Result<Node> {
     let estimation = &config.estimation;
+    let id = VehicleId::new(&config.id)?;
+    // A restart begins a new epoch: its map shares no frame with the one before.
+    let own_epochs = reloaded.iter().filter_map(|one| match &one.key {
+        Key::Chunk(chunk) if chunk.map.anchor == id => Some(chunk.map.epoch.counter),
+        Key::Placement(map) if map.anchor == id => Some(map.epoch.counter),
+        _ => None,
+    });
+    let epoch_start = EpochStart {
+        counter: own_epochs
+            .max()
+            .map_or(1, |highest| highest.saturating_add(1)),
+        seed: estimation
+            .seed
+            .map_or_else(random_seed, |seed| seeded_by_name(seed, &config.id)),
+    };
     let settings = NodeSettings {
-        id: VehicleId::new(&config.id)?,
+        id,
         stale_after_s: estimation.stale_after_s,
         global_sigma_m: estimation.global_sigma_m,
         seed: estimation.seed.unwrap_or(1),
+        epoch_start,
         background: Some(crate::background::spawn),
     };
     let Some(position) = &config.position else {
@@ -177,19 +193,7 @@ fn open_node(
             .any(|fix| matches!(fix.position, anchor::FixPosition::Geodetic(_))),
         None => false,
     };
-    // A restart begins a new epoch: its map shares no frame with the one before.
-    let own_epochs = reloaded.iter().filter_map(|one| match &one.key {
-        Key::Chunk(id) if id.map.anchor == settings.id => Some(id.map.epoch.counter),
-        Key::Placement(map) if map.anchor == settings.id => Some(map.epoch.counter),
-        _ => None,
-    });
     let source = PositionSource {
-        epoch_counter: own_epochs
-            .max()
-            .map_or(1, |highest| highest.saturating_add(1)),
-        epoch_seed: estimation
-            .seed
-            .map_or_else(random_seed, |seed| seeded_by_name(seed, &config.id)),
         datum: if geodetic {
             None
         } else {

@@ -72,6 +72,8 @@ pub fn manifest(map: MapId, revision: u32) -> Manifest {
         datum: Datum::site("lab").unwrap(),
         chunks: chunks.clone(),
         bounding_box: None,
+        reference: Reference::Fixed,
+        provenance: Vec::new(),
         public_key: Vec::new(),
         signature: Vec::new(),
         held: chunks,

@@ -22,7 +22,7 @@ pub use manifest::{BoundingBox, Manifest};
 pub use placement::{ChunkPlacement, Placement, PlacementPage};
 pub use pose::{GlobalPose, Pose, VehicleState};
 pub use ranges::Ranges;
-pub use wire::Reference;
+pub use wire::{PROVENANCE_COUNT_MAX, Reference};
 
 #[cfg(test)]
 mod tests;

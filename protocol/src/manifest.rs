@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_bytes::ByteBuf;
 
 use crate::codec::{Message, VERSION};
-use crate::wire::{self, DatumWire, RUN_COUNT_MAX};
+use crate::wire::{self, DatumWire, PROVENANCE_COUNT_MAX, RUN_COUNT_MAX, Reference};
 use crate::{MapId, Ranges, VehicleId};
 
 /// The table of contents of one map. The highest (epoch, revision) counts; `held` of all replies
@@ -23,6 +23,10 @@ pub struct Manifest {
     pub chunks: Ranges,
     /// Where the map's points are, once it stands on the Earth.
     pub bounding_box: Option<BoundingBox>,
+    /// How the map came to its global position.
+    pub reference: Reference,
+    /// Whose evidence a registered map rests on.
+    pub provenance: Vec<VehicleId>,
     /// The anchor's public key; empty where keys are not configured.
     pub public_key: Vec<u8>,
     /// The anchor's signature over everything above; empty where keys are not configured.
@@ -112,6 +116,11 @@ pub struct ManifestWire {
     #[serde(deserialize_with = "wire::list::<_, _, { 2 * RUN_COUNT_MAX }>")]
     chunks: Vec<u32>,
     bounding_box: Option<[f64; 6]>,
+    #[serde(default, skip_serializing_if = "Reference::is_fixed")]
+    reference: Reference,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(deserialize_with = "wire::list::<_, _, PROVENANCE_COUNT_MAX>")]
+    provenance: Vec<String>,
     public_key: ByteBuf,
     signature: ByteBuf,
     holder: String,
@@ -137,6 +146,8 @@ impl Message for Manifest {
                 let (min, max) = (area.min_m, area.max_m);
                 [min.x, min.y, min.z, max.x, max.y, max.z]
             }),
+            reference: self.reference,
+            provenance: wire::names(&self.provenance),
             public_key: ByteBuf::from(self.public_key.clone()),
             signature: ByteBuf::from(self.signature.clone()),
             holder: self.holder.to_string(),
@@ -163,6 +174,8 @@ impl Message for Manifest {
             datum: wire::datum_from_wire(&wire.datum)?,
             chunks,
             bounding_box,
+            reference: wire.reference,
+            provenance: wire::vehicles_from_wire(&wire.provenance)?,
             public_key: wire.public_key.into_vec(),
             signature: wire.signature.into_vec(),
             holder: VehicleId::new(&wire.holder).map_err(|error| error.to_string())?,

@@ -8,10 +8,8 @@ use serde_bytes::ByteBuf;
 
 use crate::arrays::{self, Float32Array, Float64Array, Uint8Array};
 use crate::codec::{Message, VERSION};
-use crate::wire::{self, DatumWire, Reference, SimilarityWire};
+use crate::wire::{self, DatumWire, PROVENANCE_COUNT_MAX, Reference, SimilarityWire};
 use crate::{CHUNKS_PER_PAGE, ChunkNumber, MapId, VehicleId};
-
-const PROVENANCE_COUNT_MAX: usize = 64;
 
 /// Where a whole map stands. A higher revision supersedes.
 #[derive(Clone, Debug, PartialEq)]

@@ -84,6 +84,8 @@ fn manifest() -> Manifest {
         datum: Datum::site("lab").unwrap(),
         chunks: Ranges::run(ChunkNumber(0), ChunkNumber(258)),
         bounding_box: BoundingBox::new(-corner, corner),
+        reference: Reference::Fixed,
+        provenance: Vec::new(),
         public_key: Vec::new(),
         signature: Vec::new(),
         holder: vehicle("drone1"),

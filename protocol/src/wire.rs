@@ -15,6 +15,9 @@ use crate::{ChunkNumber, MapId, Ranges, VehicleId};
 /// How many runs of chunk numbers a message carries at most; older runs are left out.
 pub(crate) const RUN_COUNT_MAX: usize = 4096;
 
+/// How many sources a registered map names at most; one that rests on more is not published.
+pub const PROVENANCE_COUNT_MAX: usize = 64;
+
 /// How a map came to its global position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -26,8 +29,18 @@ pub enum Reference {
     Registered,
 }
 
+impl fmt::Display for Reference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Fixed => "fixed",
+            Self::Registered => "registered",
+        })
+    }
+}
+
 impl Reference {
-    pub(crate) fn is_fixed(&self) -> bool {
+    /// Whether it has a vote on where the Earth is.
+    pub fn is_fixed(&self) -> bool {
         *self == Self::Fixed
     }
 }

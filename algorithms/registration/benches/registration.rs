@@ -257,12 +257,51 @@ fn localization(criterion: &mut Criterion) {
     });
 }
 
+/// The same keyframe in maps that are larger by chunks which stand elsewhere: the time stays.
+fn localization_in_large_maps(criterion: &mut Criterion) {
+    let (chunks, keyframe) = localizer_scene();
+    let anchor = AnchorIdx(0);
+    for elsewhere_count in [10, 100, 1000] {
+        let mut localizer = Localizer::new(LocalizerSettings::default());
+        let here = chunks
+            .iter()
+            .enumerate()
+            .map(|(idx, chunk)| (idx, chunk, 0.0));
+        let elsewhere = (0..elsewhere_count).map(|idx| {
+            let away = 100.0 * (idx + 1) as f64;
+            (chunks.len() + idx, &chunks[idx % chunks.len()], away)
+        });
+        for (idx, landmarks, away) in here.chain(elsewhere) {
+            let place = Vector3::new(away, 0.0, 0.0);
+            let map_from_chunk = Similarity::new(1.0, UnitQuaternion::identity(), place);
+            let chunk = ChunkIdx(idx as u64);
+            localizer.insert_chunk(anchor, chunk, landmarks.clone());
+            localizer.place_chunk(anchor, chunk, map_from_chunk);
+        }
+        let covariance = Matrix7::identity() * 1e-6;
+        localizer.place_anchor(anchor, Similarity::identity(), covariance, 1);
+        for id in 0..3 {
+            let mut keyframe = keyframe.clone();
+            keyframe.id = KeyframeIdx(id);
+            let ahead = Vector3::new(0.0, 0.0, 1e-6 * id as f64);
+            keyframe.map_from_camera = Transform::new(UnitQuaternion::identity(), ahead);
+            localizer.observe_keyframe(&keyframe);
+        }
+        assert!(localizer.estimate(Timestamp::from_nanoseconds(0)).is_some());
+        let name = format!("localize/predicted_with_chunks_elsewhere/{elsewhere_count}");
+        criterion.bench_function(&name, |bencher| {
+            bencher.iter(|| black_box(localizer.observe_keyframe(&keyframe)));
+        });
+    }
+}
+
 criterion_group!(
     benches,
     nearest,
     alignment,
     keyframe_alignment,
     search,
-    localization
+    localization,
+    localization_in_large_maps
 );
 criterion_main!(benches);

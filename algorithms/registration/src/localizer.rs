@@ -3,14 +3,18 @@
 //! Each own keyframe is located among the landmarks of each anchor (2D–3D, with the scale from
 //! depths that both maps know). What was located is kept relative to the anchor's chunk, so that
 //! a new placement moves it along, and a filter over the recent keyframes turns it into
-//! `enu_from_map`.
+//! `enu_from_map`. What a keyframe costs does not depend on how large the maps are.
 
+mod anchor;
+mod chunk_grid;
 mod estimate;
 mod fusion;
 mod history;
+mod intake;
 mod landmarks;
 mod locate;
 mod matching;
+mod retry;
 mod single_frames;
 mod testimony;
 #[cfg(test)]
@@ -18,37 +22,33 @@ mod tests;
 mod track;
 mod types;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use geometry::{Camera, Chunk, Enu, Map, Matrix7, Similarity, Timestamp, Transform};
+use geometry::{Camera, Map, Similarity, Timestamp, Transform};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use anchor::{Anchor, hint};
 use fusion::{Fused, Vote, disagreement, fuse};
-use landmarks::{AnchorLandmarks, AnchorMap, AnchorPlacement};
-use locate::{Attempt, Effort, Hint, Located};
+use landmarks::AnchorLandmarks;
+use locate::Hint;
 use matching::FeatureIndex;
+use retry::Missed;
 use single_frames::SingleFrames;
-use track::{Admission, Entry, Track};
+use track::Track;
 
 pub use estimate::Estimate;
 pub use history::{CorrectedKeyframe, KeyframePoses};
 pub use single_frames::{FrameLocation, FrameObservation, NearPose};
 pub use types::{
-    AlignmentReport, AnchorIdx, AnchorReport, ChunkIdx, ChunkIntake, DriftRates, ErrorFloor,
-    KeyframeIdx, KeyframeObservation, Landmark, LocalizerSettings, ObservedFeature, ObservedPoint,
-    Refusal, Verdict,
+    AlignmentReport, AnchorIdx, AnchorReport, ChunkIdx, ChunkIntake, Contradiction, DriftRates,
+    ErrorFloor, KeyframeIdx, KeyframeObservation, Landmark, LocalizerSettings, ObservedFeature,
+    ObservedPoint, OwnerIdx, Reference, Refusal, Verdict,
 };
 
-/// Anchors and epochs at most; more are refused.
-const ANCHOR_COUNT_MAX: usize = 64;
-/// After this many keyframes in a row that were not located near the prediction, all landmarks
-/// are searched, every second keyframe.
-const MISSES_BEFORE_SEARCH: usize = 3;
-/// An anchor that was never matched is searched in every so many keyframes, once others say where
-/// the camera is; in between it is looked at where they say.
-const SEARCH_INTERVAL: usize = 4;
+/// Anchors that are searched as a whole for one keyframe, in turn; the others wait for the next.
+const SEARCHES_PER_KEYFRAME: usize = 2;
 
 /// The incremental alignment of one vehicle's map to the anchors' maps.
 ///
@@ -62,19 +62,17 @@ pub struct Localizer {
     newest: Option<(KeyframeIdx, Transform<Map, Camera>)>,
     /// Keyframes from before the first alignment, to be located after all.
     early: VecDeque<KeyframeObservation>,
+    /// Keyframes that no anchor with a vote has located, to be tried against chunks that come.
+    missed: VecDeque<Missed>,
+    /// The anchor that is searched first.
+    search_turn: AnchorIdx,
     accepted_count: u64,
     jump_count: u64,
+    overruled_count: u64,
     refused_input_count: u64,
     rng: ChaCha8Rng,
     /// Frames draw apart, so that keyframes are located alike with and without them.
     frame_rng: ChaCha8Rng,
-}
-
-#[derive(Default)]
-struct Anchor {
-    landmarks: AnchorLandmarks,
-    track: Track,
-    search_cursor: usize,
 }
 
 impl Localizer {
@@ -88,100 +86,17 @@ impl Localizer {
             single_frames: SingleFrames::default(),
             newest: None,
             early: VecDeque::new(),
+            missed: VecDeque::new(),
+            search_turn: AnchorIdx(0),
             accepted_count: 0,
             jump_count: 0,
+            overruled_count: 0,
             refused_input_count: 0,
         }
     }
 
     pub fn settings(&self) -> &LocalizerSettings {
         &self.settings
-    }
-
-    /// Adds an anchor's chunk; landmarks with impossible numbers are left out and counted.
-    ///
-    /// A chunk is used once it and its anchor are placed. Inserting it again replaces it.
-    pub fn insert_chunk(
-        &mut self,
-        anchor: AnchorIdx,
-        chunk: ChunkIdx,
-        landmarks: Vec<Landmark>,
-    ) -> ChunkIntake {
-        let offered_count = landmarks.len();
-        let intake = match self.anchor_mut(anchor) {
-            Some(anchor) => anchor.landmarks.insert_chunk(chunk, landmarks),
-            None => ChunkIntake {
-                accepted_count: 0,
-                refused_count: offered_count,
-            },
-        };
-        if intake.accepted_count == 0 || intake.refused_count > 0 {
-            self.refused_input_count += 1;
-        }
-        intake
-    }
-
-    /// States where a chunk stands in its anchor's map.
-    pub fn place_chunk(
-        &mut self,
-        anchor: AnchorIdx,
-        chunk: ChunkIdx,
-        map_from_chunk: Similarity<Map, Chunk>,
-    ) {
-        let known = self
-            .anchors
-            .get(&anchor)
-            .and_then(|anchor| anchor.landmarks.placed(chunk));
-        if known == Some(&map_from_chunk.relabel()) {
-            return;
-        }
-        let settings = self.settings.clone();
-        let placed = self.anchor_mut(anchor).is_some_and(|anchor| {
-            let placed = anchor.landmarks.place_chunk(chunk, &map_from_chunk);
-            if anchor.track.rests_on(chunk) {
-                anchor.track.refresh(&anchor.landmarks, &settings);
-            }
-            placed
-        });
-        self.refused_input_count += u64::from(!placed);
-        self.fuse_votes();
-    }
-
-    /// States where an anchor's map stands on the Earth; revisions older than the known one are
-    /// ignored.
-    pub fn place_anchor(
-        &mut self,
-        anchor: AnchorIdx,
-        enu_from_map: Similarity<Enu, Map>,
-        covariance: Matrix7,
-        revision: u64,
-    ) {
-        let placement = AnchorPlacement {
-            enu_from_map: enu_from_map.relabel(),
-            covariance,
-            revision,
-        };
-        let placed = self
-            .anchor_mut(anchor)
-            .is_some_and(|anchor| anchor.landmarks.place(placement));
-        self.refused_input_count += u64::from(!placed);
-        self.fuse_votes();
-    }
-
-    pub fn remove_chunk(&mut self, anchor: AnchorIdx, chunk: ChunkIdx) {
-        let settings = &self.settings;
-        if let Some(anchor) = self.anchors.get_mut(&anchor) {
-            anchor.landmarks.remove_chunk(chunk);
-            if anchor.track.rests_on(chunk) {
-                anchor.track.refresh(&anchor.landmarks, settings);
-            }
-        }
-        self.fuse_votes();
-    }
-
-    pub fn remove_anchor(&mut self, anchor: AnchorIdx) {
-        self.anchors.remove(&anchor);
-        self.fuse_votes();
     }
 
     /// Locates a new own keyframe among the landmarks of every anchor.
@@ -196,45 +111,91 @@ impl Localizer {
             return AlignmentReport::refused(Refusal::BadInput);
         };
         self.newest = Some((keyframe.id, keyframe.map_from_camera));
-        let mut reports = Vec::new();
-        let fused = self.fused.as_ref();
-        for (idx, anchor) in &mut self.anchors {
-            if anchor.landmarks.placement().is_none() || anchor.landmarks.landmark_count() == 0 {
-                continue;
-            }
-            let attempt = Attempt {
-                observed: &keyframe.features,
-                features: &features,
-                map_from_camera: Some(keyframe.map_from_camera),
-                anchor: &anchor.landmarks,
-                settings: &self.settings,
-            };
-            let mut hint = hint(anchor, fused, keyframe, &self.settings);
-            let mut effort = Effort::default();
-            let located = attempt.locate(&mut hint, &mut effort, &mut self.rng);
-            if let Hint::Nowhere { cursor } = hint {
-                anchor.search_cursor = cursor;
-            }
-            let verdict = anchor.admit(located, (keyframe, &features), &self.settings);
-            reports.push(AnchorReport {
-                anchor: *idx,
-                verdict,
-                candidate_count: effort.candidate_count,
-                match_count: effort.match_count,
-                inlier_count: effort.inlier_count,
-                evenness: anchor.track.evenness,
-            });
-        }
+        let reports = self.locate_everywhere(keyframe, &features);
         if self.fused.is_none() {
             self.remember_early(keyframe);
         }
+        if !self.is_located_by_fixed(&reports) {
+            self.remember_missed(keyframe);
+        }
+        self.conclude(reports)
+    }
+
+    /// Tries the anchors with a vote, and where none of them knows the place, the others.
+    fn locate_everywhere(
+        &mut self,
+        keyframe: &KeyframeObservation,
+        features: &FeatureIndex,
+    ) -> Vec<AnchorReport> {
+        let mut reports: Vec<AnchorReport> = Vec::new();
+        let mut search_count = 0;
+        for reference in [Reference::Fixed, Reference::Registered] {
+            if reports.iter().any(|one| one.verdict == Verdict::Accepted) {
+                break;
+            }
+            let after = self.anchors.range(self.search_turn..);
+            let before = self.anchors.range(..self.search_turn);
+            let in_turn: Vec<AnchorIdx> = after.chain(before).map(|(idx, _)| *idx).collect();
+            for idx in in_turn {
+                let Some(anchor) = self.anchors.get_mut(&idx) else {
+                    continue;
+                };
+                if anchor.reference != reference || !anchor.is_usable() {
+                    continue;
+                }
+                let hint = hint(anchor, self.fused.as_ref(), keyframe, &self.settings);
+                if matches!(hint, Hint::Nowhere { .. }) {
+                    if search_count == SEARCHES_PER_KEYFRAME {
+                        continue;
+                    }
+                    search_count += 1;
+                    self.search_turn = AnchorIdx(idx.0.saturating_add(1));
+                }
+                let attempt = (keyframe, features);
+                reports.push(anchor.try_keyframe(
+                    idx,
+                    attempt,
+                    hint,
+                    &self.settings,
+                    &mut self.rng,
+                ));
+            }
+        }
+        reports.sort_by_key(|report| report.anchor);
+        reports
+    }
+
+    /// Lets the anchors vote on what was located.
+    fn conclude(&mut self, reports: Vec<AnchorReport>) -> AlignmentReport {
         let verdict = best_verdict(&reports);
         self.accepted_count += u64::from(verdict == Verdict::Accepted);
+        let overruled = reports.iter().any(|report| report.overruled);
+        self.overruled_count += u64::from(overruled);
         AlignmentReport {
             verdict,
             anchors: reports,
             jumped: self.fuse_votes(),
+            overruled,
         }
+    }
+
+    fn is_located_by_fixed(&self, reports: &[AnchorReport]) -> bool {
+        reports.iter().any(|report| {
+            let anchor = self.anchors.get(&report.anchor);
+            report.verdict == Verdict::Accepted
+                && anchor.is_some_and(|anchor| anchor.reference == Reference::Fixed)
+        })
+    }
+
+    /// The keyframes whose moves matter here; there are never many.
+    pub fn tied_keyframes(&self) -> BTreeSet<KeyframeIdx> {
+        let tracks = self
+            .anchors
+            .values()
+            .flat_map(|anchor| anchor.track.keyframes());
+        let missed = self.missed.iter().map(Missed::id);
+        let newest = self.newest.iter().map(|(id, _)| *id);
+        tracks.chain(missed).chain(newest).collect()
     }
 
     /// States that the own map's optimisation has moved a keyframe.
@@ -268,6 +229,9 @@ impl Localizer {
                 moved |= *pose != map_from_camera;
                 *pose = map_from_camera;
             }
+            for missed in &mut self.missed {
+                missed.follow(keyframe, &map_from_camera);
+            }
             for anchor in self.anchors.values_mut() {
                 moved |= anchor.track.move_keyframe(keyframe, &map_from_camera);
             }
@@ -288,6 +252,9 @@ impl Localizer {
             self.refused_input_count += 1;
             return;
         }
+        for missed in &mut self.missed {
+            missed.stretch(keyframe, factor);
+        }
         for anchor in self.anchors.values_mut() {
             anchor.track.stretch_keyframe(keyframe, factor);
         }
@@ -297,10 +264,12 @@ impl Localizer {
     pub fn forget_map(&mut self) {
         for anchor in self.anchors.values_mut() {
             anchor.track = Track::default();
+            anchor.retries.clear();
         }
         self.fused = None;
         self.newest = None;
         self.early.clear();
+        self.missed.clear();
         self.accepted_count = 0;
     }
 
@@ -330,8 +299,10 @@ impl Localizer {
             depth_in_map: state.depth,
             accepted_count: self.accepted_count,
             jump_count: self.jump_count,
+            overruled_count: self.overruled_count,
             anchors: fused.anchors.clone(),
-            inconsistent_anchors: fused.inconsistent_anchors.clone(),
+            reference: fused.reference,
+            left_out: fused.left_out.clone(),
             conflict: fused.conflict,
             drift: self.settings.drift,
         })
@@ -366,11 +337,6 @@ impl Localizer {
         self.refused_input_count
     }
 
-    fn anchor_mut(&mut self, anchor: AnchorIdx) -> Option<&mut Anchor> {
-        let full = self.anchors.len() >= ANCHOR_COUNT_MAX && !self.anchors.contains_key(&anchor);
-        (!full).then(|| self.anchors.entry(anchor).or_default())
-    }
-
     /// Lets the anchors vote anew; whether the estimate has jumped.
     fn fuse_votes(&mut self) -> bool {
         let Some((_, map_from_camera)) = self.newest else {
@@ -379,11 +345,12 @@ impl Localizer {
         let votes: Vec<Vote> = self
             .anchors
             .iter()
+            .filter(|(_, anchor)| anchor.reference != Reference::Circular)
             .filter_map(|(idx, anchor)| {
                 let state = anchor.track.state()?;
                 let placement = anchor.landmarks.placement()?;
                 Some(Vote::new(
-                    *idx,
+                    anchor.voter(*idx),
                     state,
                     placement,
                     &map_from_camera,
@@ -405,88 +372,13 @@ impl Localizer {
     }
 }
 
-impl Anchor {
-    /// Hands a located keyframe to the track.
-    fn admit(
-        &mut self,
-        located: Result<Located, Refusal>,
-        (keyframe, features): (&KeyframeObservation, &FeatureIndex),
-        settings: &LocalizerSettings,
-    ) -> Verdict {
-        let located = match located {
-            Ok(located) => located,
-            Err(refusal) => {
-                self.track.miss_count += 1;
-                return Verdict::Refused(refusal);
-            }
-        };
-        if !located.scale_known && self.track.state().is_none() {
-            return Verdict::Refused(Refusal::NoScale);
-        }
-        let entry = Entry {
-            keyframe: keyframe.id,
-            captured_at: keyframe.captured_at,
-            map_from_camera: keyframe.map_from_camera,
-            located,
-            witnesses: Vec::new(),
-        };
-        match self.track.admit(entry, features, &self.landmarks, settings) {
-            Admission::Agrees | Admission::Founds => Verdict::Accepted,
-            Admission::Waits => Verdict::Unconfirmed,
-        }
-    }
-}
-
-/// Where an anchor's landmarks are expected: by its own track, else by what the others say.
-/// Now and then nothing is expected, so that a wrong track, or a wrong anchor, is found out.
-fn hint(
-    anchor: &Anchor,
-    fused: Option<&Fused>,
-    keyframe: &KeyframeObservation,
-    settings: &LocalizerSettings,
-) -> Hint {
-    let nowhere = Hint::Nowhere {
-        cursor: anchor.search_cursor,
-    };
-    let miss_count = anchor.track.miss_count;
-    let pose_of = |anchor_from_camera: Similarity<AnchorMap, Camera>| {
-        anchor_from_camera.rigid_part().inverse()
-    };
-    let Some(state) = anchor.track.state() else {
-        let (Some(fused), Some(placement)) = (fused, anchor.landmarks.placement()) else {
-            return nowhere;
-        };
-        if miss_count.is_multiple_of(SEARCH_INTERVAL) {
-            return nowhere;
-        }
-        let way = fused.map_from_camera.inverse() * keyframe.map_from_camera;
-        let enu_from_camera = fused.enu_from_camera * way;
-        return Hint::Predicted {
-            camera_from_anchor: pose_of(placement.enu_from_map.inverse() * enu_from_camera),
-            radius: settings.predicted_radius_max,
-        };
-    };
-    if miss_count >= MISSES_BEFORE_SEARCH && miss_count.is_multiple_of(2) {
-        return nowhere;
-    }
-    let state = state.predicted(&keyframe.map_from_camera, &settings.drift);
-    let covariance = state.scaled_covariance();
-    let variance = |first: usize| (0..3).map(move |axis| covariance[(first + axis, first + axis)]);
-    let rotation_sigma = variance(0).fold(0.0, f64::max).sqrt();
-    let translation_sigma = variance(3).fold(0.0, f64::max).sqrt() / state.depth;
-    let radius = settings.predicted_radius_min + 3.0 * (rotation_sigma + translation_sigma);
-    Hint::Predicted {
-        camera_from_anchor: pose_of(state.anchor_from_camera),
-        radius: radius.min(settings.predicted_radius_max),
-    }
-}
-
 fn has_jumped(before: &Fused, after: &Fused, settings: &LocalizerSettings) -> bool {
     let way = before.map_from_camera.inverse() * after.map_from_camera;
     let adjoint = Similarity::from(way.inverse()).adjoint();
     let expected = before.enu_from_camera * way;
     let difference = (expected.inverse() * after.enu_from_camera).log();
-    let covariance = adjoint * before.covariance * adjoint.transpose() + after.covariance;
+    let covariance =
+        adjoint * before.covariance_of_votes * adjoint.transpose() + after.covariance_of_votes;
     disagreement(&difference, &covariance) > settings.anchor_disagreement_max
 }
 

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use geometry::Timestamp;
 use nalgebra::Vector3;
 use protocol::{
-    Chunk, ChunkHeader, ChunkId, ChunkNumber, ChunkPoint, MAX_POINTS_PER_CHUNK, Reference, encode,
+    Chunk, ChunkHeader, ChunkId, ChunkNumber, ChunkPoint, MAX_POINTS_PER_CHUNK, encode,
 };
 use vslam::{KeyframeId, PointId};
 
@@ -57,6 +57,13 @@ impl Cutter {
         });
     }
 
+    /// Leaves this many of those that wait, the newest.
+    pub(super) fn forget_oldest(&mut self, count_max: usize) {
+        while self.waiting.len() > count_max {
+            self.waiting.pop_front();
+        }
+    }
+
     /// The keyframes that have waited long enough, each named once.
     pub(super) fn due(&mut self, now: Timestamp, settings: &CutSettings) -> Vec<KeyframeId> {
         let newer_count = self.waiting.len();
@@ -94,6 +101,9 @@ impl Cutter {
 
 impl Anchor {
     pub(super) fn cut(&mut self, keyframe: &KeyframeInput, effects: &mut Vec<Effect>) {
+        if !self.may_cut() {
+            return;
+        }
         let id = keyframe.pose.id;
         let known = self
             .cutter
@@ -152,8 +162,8 @@ impl Anchor {
             captured_at: keyframe.pose.captured_at,
             camera: self.settings.camera,
             replaces,
-            reference: Reference::Fixed,
-            provenance: Vec::new(),
+            reference: self.reference,
+            provenance: self.placer.basis().provenance.clone(),
             signature: Vec::new(),
         };
         let points: Vec<ChunkPoint> = chosen.iter().map(|(_, point)| point.clone()).collect();

@@ -11,7 +11,7 @@ use geometry::{Camera, Chunk as ChunkFrame, Enu, Map, Similarity, umeyama};
 use nalgebra::{UnitQuaternion, Vector3};
 use protocol::{
     BoundingBox, ChunkNumber, ChunkPlacement, Manifest, MapId, Placement, PlacementPage, Ranges,
-    Reference,
+    Reference, VehicleId,
 };
 use vslam::KeyframeId;
 
@@ -27,9 +27,21 @@ const MOVE_SHARE: f64 = 0.01;
 const STRETCH_MIN: f64 = 0.005;
 /// The placement's stated uncertainty is published again when it changes by this factor.
 const SIGMA_FACTOR: f64 = 1.15;
+/// A registered map never states much less than its vehicle would of itself.
+const REGISTERED_SIGMA_FACTOR: f64 = 1.02;
+
+/// What a map's place on the Earth rests on.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Basis {
+    pub reference: Reference,
+    /// Empty for a map with fixes of its own.
+    pub provenance: Vec<VehicleId>,
+}
 
 #[derive(Debug, Default)]
 pub(super) struct Placer {
+    basis: Basis,
+    basis_changed: bool,
     chunks: BTreeMap<ChunkNumber, Placed>,
     origins: BTreeMap<KeyframeId, KeyframePose>,
     enu_from_map: Option<Similarity<Enu, Map>>,
@@ -59,6 +71,25 @@ struct Wanted {
 }
 
 impl Placer {
+    pub(super) fn new(reference: Reference) -> Self {
+        let mut placer = Self::default();
+        placer.basis.reference = reference;
+        placer
+    }
+
+    pub(super) fn basis(&self) -> &Basis {
+        &self.basis
+    }
+
+    /// Names everybody whose evidence the map's place rests on.
+    pub(super) fn rest_on(&mut self, provenance: Vec<VehicleId>) {
+        if self.basis.provenance != provenance {
+            self.basis.provenance = provenance;
+            self.basis_changed = true;
+            self.manifest_changed = true;
+        }
+    }
+
     pub(super) fn insert(&mut self, number: ChunkNumber, origin: KeyframePose, typical_depth: f64) {
         let map_from_camera: Similarity<Map, Camera> = origin.map_from_camera.into();
         self.origins.insert(origin.id, origin);
@@ -179,10 +210,15 @@ impl Placer {
             }
         }
         let ratio = sigma_m / self.published_sigma_m;
-        let stated = (1.0 / SIGMA_FACTOR..SIGMA_FACTOR).contains(&ratio);
-        if known == Some(enu_from_map) && stated {
+        let growth_max = match self.basis.reference {
+            Reference::Fixed => SIGMA_FACTOR,
+            Reference::Registered => REGISTERED_SIGMA_FACTOR,
+        };
+        let stated = (1.0 / SIGMA_FACTOR..growth_max).contains(&ratio);
+        if known == Some(enu_from_map) && stated && !self.basis_changed {
             return None;
         }
+        self.basis_changed = false;
         self.enu_from_map = Some(enu_from_map);
         self.published_sigma_m = sigma_m;
         self.manifest_changed |= known.is_none();
@@ -195,8 +231,8 @@ impl Placer {
             enu_from_map,
             covariance: georeference.covariance,
             fix_sigma_m: georeference.fix_sigma_m,
-            reference: Reference::Fixed,
-            provenance: Vec::new(),
+            reference: self.basis.reference,
+            provenance: self.basis.provenance.clone(),
             signature: Vec::new(),
         })
     }
@@ -274,6 +310,8 @@ impl Placer {
             held: chunks.clone(),
             chunks,
             bounding_box,
+            reference: self.basis.reference,
+            provenance: self.basis.provenance.clone(),
             public_key: Vec::new(),
             signature: Vec::new(),
             holder: map.anchor.clone(),

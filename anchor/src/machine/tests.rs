@@ -1,6 +1,7 @@
 //! The state machine over simulated flights.
 
 mod loop_closure;
+mod registered;
 
 use geodesy::{Datum, Geodetic};
 use geometry::Timestamp;

@@ -46,6 +46,11 @@ pub struct MapSummary {
     pub epoch: String,
     pub revision: Option<u32>,
     pub datum: Option<String>,
+    /// How it came to its place: `fixed`, or `registered` to the maps of others, which says
+    /// nothing of the Earth beside them.
+    pub reference: Option<String>,
+    /// Whose evidence a registered map rests on.
+    pub provenance: Vec<String>,
     /// Chunks that exist, as far as those who answered know.
     pub chunk_count: Option<u64>,
     /// Chunks that somebody who answered holds.
@@ -179,8 +184,13 @@ fn print(maps: Vec<MapSummary>, arguments: &GetArguments) -> anyhow::Result<()> 
                 map.holders.join(", ")
             )
         };
+        let registered = if map.provenance.is_empty() {
+            String::new()
+        } else {
+            format!("; registered, rests on {}", map.provenance.join(", "))
+        };
         output::print_line(&format!(
-            "{} {} ({}): {holders}{} came, {} points",
+            "{} {} ({}{registered}): {holders}{} came, {} points",
             map.anchor,
             map.epoch,
             map.datum.as_deref().unwrap_or("no datum known"),

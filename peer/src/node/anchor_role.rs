@@ -1,16 +1,17 @@
-//! With a position source: the own map is tied to the Earth and shared with the team.
+//! The own map is shared with the team: tied to the Earth by a position source, or by what the
+//! vehicle found itself in.
 
 use std::collections::VecDeque;
 
 use anchor::{
     Anchor, AnchorSettings, Effect as AnchorEffect, Event as AnchorEvent, FrameInput,
-    KeyframeInput, KeyframePose, PositionFix, keyframe_poses,
+    KeyframeInput, KeyframePose, PositionFix, Registration, keyframe_poses,
 };
 use geometry::{Enu, Map, Matrix7, Similarity, Timestamp};
 use protocol::{Epoch, MapId, VehicleState};
 use vslam::{FrameReport, KeyframeId, MappingReport, VslamMap};
 
-use super::PositionSource;
+use super::EpochStart;
 use super::outlet::Outlet;
 use super::places::{Place, Places};
 use super::status::{KnownTie, Tie};
@@ -19,6 +20,8 @@ use super::tied_pose::{TiedPose, pose_covariance, position_block, worst_sigma};
 /// The anchor's state machine, fed from the own map.
 pub struct AnchorRole {
     anchor: Anchor,
+    /// Whether fixes tie the map; then every adjustment of a keyframe counts at once.
+    has_fixes: bool,
     own_map: Option<vslam::MapId>,
     map_revision: u64,
     epoch_seed: u64,
@@ -26,17 +29,26 @@ pub struct AnchorRole {
 }
 
 impl AnchorRole {
-    pub fn new(settings: AnchorSettings, source: &PositionSource) -> Self {
-        let epoch_seed = source.epoch_seed;
-        let epoch = Epoch {
-            counter: source.epoch_counter,
-            random: epoch_random(epoch_seed, 0),
-        };
+    pub fn new(settings: AnchorSettings, start: EpochStart) -> Self {
+        Self::with(Anchor::new(settings, first_epoch(start)), true, start)
+    }
+
+    /// For a vehicle without a position source.
+    pub fn registered(settings: AnchorSettings, start: EpochStart) -> Self {
+        Self::with(
+            Anchor::registered(settings, first_epoch(start)),
+            false,
+            start,
+        )
+    }
+
+    fn with(anchor: Anchor, has_fixes: bool, start: EpochStart) -> Self {
         Self {
-            anchor: Anchor::new(settings, epoch),
+            anchor,
+            has_fixes,
             own_map: None,
             map_revision: 0,
-            epoch_seed,
+            epoch_seed: start.seed,
             epoch_count: 1,
         }
     }
@@ -48,6 +60,17 @@ impl AnchorRole {
 
     pub fn take_fix(&mut self, fix: PositionFix, map: &VslamMap, outlet: &mut Outlet<'_>) {
         self.drive(VecDeque::from([AnchorEvent::Fix(fix)]), map, outlet);
+    }
+
+    /// Where the map stands by registration, or that nobody can say.
+    pub fn take_registration(
+        &mut self,
+        registration: Option<Registration>,
+        map: &VslamMap,
+        outlet: &mut Outlet<'_>,
+    ) {
+        let registered = AnchorEvent::Registered(registration.map(Box::new));
+        self.drive(VecDeque::from([registered]), map, outlet);
     }
 
     /// Poses are in this map from now on; another one than before begins an epoch.
@@ -74,7 +97,9 @@ impl AnchorRole {
             let pose = KeyframePose::from(keyframe);
             events.push_back(AnchorEvent::KeyframeInserted(pose));
         }
-        if new_keyframe.is_some() || self.map_revision != mapped.map_revision {
+        // By registration keyframes are placed one by one; only loops change more than that.
+        let adjusted = self.has_fixes && new_keyframe.is_some();
+        if adjusted || self.map_revision != mapped.map_revision {
             self.map_revision = mapped.map_revision;
             events.push_back(AnchorEvent::KeyframesMoved(keyframe_poses(map)));
         }
@@ -107,6 +132,7 @@ impl AnchorRole {
                 pose: None,
                 datum,
                 jump_count: 0,
+                overruled_count: 0,
             };
         };
         let pose = report.map_from_camera.as_ref().map(|map_from_camera| {
@@ -127,6 +153,7 @@ impl AnchorRole {
             pose,
             datum,
             jump_count: 0,
+            overruled_count: 0,
         }
     }
 
@@ -179,6 +206,13 @@ impl AnchorRole {
 
 fn settled(map: &VslamMap, id: KeyframeId) -> Option<AnchorEvent> {
     KeyframeInput::from_map(map, id).map(AnchorEvent::KeyframeSettled)
+}
+
+fn first_epoch(start: EpochStart) -> Epoch {
+    Epoch {
+        counter: start.counter,
+        random: epoch_random(start.seed, 0),
+    }
 }
 
 /// The random part of an epoch: SplitMix64 of seed and count.

@@ -32,33 +32,32 @@ impl Node {
             Role::Anchor(_) => None,
         };
         let report = self.slam.track(extracted);
-        let sigma_max_m = self.global_sigma_m();
+        let limits = Limits {
+            stale_after_s: self.settings.stale_after_s,
+            global_sigma_m: self.global_sigma_m(),
+        };
+        let mut outlet = Outlet {
+            shelf: &mut self.shelf,
+            exchange: &mut self.exchange,
+            counters: &mut self.counters,
+            effects,
+            now,
+        };
         let tied = match &mut self.role {
             Role::Peer(role) => {
-                role.enter_map(report.map_id);
-                let limits = Limits {
-                    stale_after_s: self.settings.stale_after_s,
-                    global_sigma_m: sigma_max_m,
-                };
+                role.enter_map(report.map_id, self.slam.map(), &mut outlet);
                 role.tie((&report, single_frame), &limits, now)
             }
             Role::Anchor(role) => {
-                let mut outlet = Outlet {
-                    shelf: &mut self.shelf,
-                    exchange: &mut self.exchange,
-                    counters: &mut self.counters,
-                    effects,
-                    now,
-                };
                 role.enter_map(report.map_id, self.slam.map(), &mut outlet);
                 role.tie(&report, now)
             }
         };
         self.counters.jumps = tied.jump_count;
-        let limits = Limits {
-            stale_after_s: self.settings.stale_after_s,
-            global_sigma_m: self.global_sigma_m(),
-        };
+        self.counters.overruled = tied.overruled_count;
+        if let Role::Peer(role) = &self.role {
+            self.counters.circular = role.circular_count();
+        }
         self.status = Status::after(&report, &tied.tie, &limits, self.was_global);
         let is_global = self.status.state == VehicleState::Global;
         self.was_global |= is_global;
@@ -95,22 +94,25 @@ impl Node {
             return;
         };
         let mapped = self.slam.map_frame();
+        let is_global = self.status.state == VehicleState::Global;
+        let mut outlet = Outlet {
+            shelf: &mut self.shelf,
+            exchange: &mut self.exchange,
+            counters: &mut self.counters,
+            effects,
+            now,
+        };
+        let map = self.slam.map();
         match &mut self.role {
             Role::Peer(role) => {
                 // Mapping may have joined the map to another.
-                role.enter_map(mapped.map_id);
-                role.follow_map((&report, &mapped), self.slam.map());
+                role.enter_map(mapped.map_id, map, &mut outlet);
+                role.follow_map((&report, &mapped), map);
+                role.share_map((&report, &mapped), map, is_global, &mut outlet);
             }
             Role::Anchor(role) => {
-                let mut outlet = Outlet {
-                    shelf: &mut self.shelf,
-                    exchange: &mut self.exchange,
-                    counters: &mut self.counters,
-                    effects,
-                    now,
-                };
-                role.enter_map(mapped.map_id, self.slam.map(), &mut outlet);
-                role.follow_map((&report, &mapped), self.slam.map(), &mut outlet);
+                role.enter_map(mapped.map_id, map, &mut outlet);
+                role.follow_map((&report, &mapped), map, &mut outlet);
             }
         }
     }

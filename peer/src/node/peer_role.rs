@@ -1,29 +1,42 @@
 //! Without a position source: the own map is registered to what the anchors published.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use features::Descriptor;
 use geodesy::{Datum, enu_from_enu};
 use geometry::{Enu, Map, Similarity, Timestamp};
 use nalgebra::Vector3;
-use protocol::{Chunk, MapId, Placement, PlacementPage};
-use registration::localizer::{Refusal, Verdict};
+use protocol::{Chunk, MapId, PROVENANCE_COUNT_MAX, Placement, PlacementPage, VehicleId};
+use registration::localizer::{Contradiction, OwnerIdx, Reference, Refusal, Verdict};
 use registration::{
-    AnchorIdx, ChunkIdx, Estimate, KeyframeIdx, KeyframeObservation, Landmark, Localizer,
-    LocalizerSettings, ObservedFeature, ObservedPoint,
+    AlignmentReport, AnchorIdx, ChunkIdx, Estimate, KeyframeIdx, KeyframeObservation, Landmark,
+    Localizer, LocalizerSettings, ObservedFeature, ObservedPoint,
 };
 use vslam::{FrameReport, Keyframe, KeyframeId, MappingReport, VslamMap};
 
 use crate::files::StampedPose;
 
+use super::anchor_role::AnchorRole;
 use super::handover::Handover;
+use super::outlet::Outlet;
 use super::places::{Place, Places};
+use super::sharing::Sharing;
 
 /// The incremental alignment of the own map to the anchors' maps, by their names on the wire.
 pub struct PeerRole {
+    id: VehicleId,
     pub(super) localizer: Localizer,
     pub(super) handover: Handover,
+    /// What others say of where their maps stand.
+    bases: BTreeMap<MapId, Basis>,
+    /// The own map, for others.
+    pub(super) sharing: Sharing,
+    circular_count: u64,
     anchors: BTreeMap<MapId, AnchorIdx>,
+    /// Vehicles, numbered; the maps of one share its errors.
+    owners: BTreeMap<VehicleId, OwnerIdx>,
+    /// Who was left out when it was last looked at, to say it once.
+    left_out: Vec<AnchorIdx>,
     /// What this vehicle's ENU is relative to: the datum of the first anchor that was placed.
     datum: Option<Datum>,
     /// The least stated sigma of a fix of any anchor (m).
@@ -39,15 +52,28 @@ pub struct PeerRole {
     chunk_count: usize,
 }
 
+/// What a map's place rests on, by all that was heard of it.
+#[derive(Clone, Debug, Default)]
+struct Basis {
+    reference: protocol::Reference,
+    provenance: BTreeSet<VehicleId>,
+}
+
 impl PeerRole {
-    pub fn new(seed: u64) -> Self {
+    pub fn new(id: VehicleId, seed: u64, shared: AnchorRole) -> Self {
         Self {
+            id,
+            bases: BTreeMap::new(),
+            sharing: Sharing::new(shared),
+            circular_count: 0,
             localizer: Localizer::new(LocalizerSettings {
                 seed,
                 ..LocalizerSettings::default()
             }),
             handover: Handover::default(),
             anchors: BTreeMap::new(),
+            owners: BTreeMap::new(),
+            left_out: Vec::new(),
             datum: None,
             fix_sigma_m: None,
             own_map: None,
@@ -61,7 +87,16 @@ impl PeerRole {
     }
 
     pub fn take_chunk(&mut self, chunk: &Chunk, page: Option<&PlacementPage>) {
+        let header = chunk.header();
+        let provenance = header.provenance.iter().cloned().collect();
+        if self.reference_of(&chunk.id().map, (header.reference, &provenance))
+            == Reference::Circular
+        {
+            self.circular_count += 1;
+            return;
+        }
         let anchor = self.anchor_idx(&chunk.id().map);
+        self.rest_on(&chunk.id().map, header.reference, &header.provenance);
         let idx = ChunkIdx(u64::from(chunk.id().number.0));
         let camera = chunk.header().camera;
         let landmarks = chunk.points().map(|point| Landmark {
@@ -97,11 +132,14 @@ impl PeerRole {
 
     pub fn take_page(&mut self, page: &PlacementPage) {
         let anchor = self.anchor_idx(page.map());
-        for placed in page.placements() {
+        let placements = page.placements();
+        let placements = placements.map(|placed| {
             let chunk = ChunkIdx(u64::from(placed.number.0));
-            self.localizer
-                .place_chunk(anchor, chunk, placed.map_from_chunk);
-        }
+            (chunk, placed.map_from_chunk)
+        });
+        self.localizer.place_chunks(anchor, placements);
+        self.sharing.places_moved();
+        self.report_left_out();
     }
 
     /// Takes where an anchor's map stands, in this vehicle's own datum.
@@ -114,6 +152,10 @@ impl PeerRole {
                 return;
             }
         };
+        let (reference, provenance) = (placement.reference, &placement.provenance);
+        if self.rest_on(&placement.map, reference, provenance) == Reference::Circular {
+            self.circular_count += 1;
+        }
         let least = self.fix_sigma_m.unwrap_or(f64::INFINITY);
         self.fix_sigma_m = Some(least.min(placement.fix_sigma_m));
         let anchor = self.anchor_idx(&placement.map);
@@ -123,10 +165,13 @@ impl PeerRole {
             placement.covariance,
             u64::from(placement.revision),
         );
+        self.sharing.places_moved();
+        self.report_left_out();
     }
 
     /// Poses are in this map from now on.
-    pub fn enter_map(&mut self, map_id: vslam::MapId) {
+    pub fn enter_map(&mut self, map_id: vslam::MapId, map: &VslamMap, outlet: &mut Outlet<'_>) {
+        self.sharing.enter_map(map_id, map, outlet);
         if self.own_map.is_some_and(|known| known != map_id) {
             self.localizer.forget_map();
             self.units.clear();
@@ -140,32 +185,80 @@ impl PeerRole {
     pub fn follow_map(&mut self, (report, mapped): (&FrameReport, &MappingReport), map: &VslamMap) {
         let corrected = self.map_revision != mapped.map_revision;
         let new_keyframe = mapped.new_keyframe.and_then(|id| map.keyframe(id));
-        if corrected {
-            self.map_revision = mapped.map_revision;
-            self.follow_stretches(map);
-        }
         if corrected || new_keyframe.is_some() {
-            self.units = map.keyframes().map(|one| (one.id(), one.unit())).collect();
-            let poses = map.keyframes();
-            let poses = poses.map(|known| (keyframe_idx(known.id()), known.map_from_camera()));
-            self.localizer.keyframes_moved(poses);
+            self.map_revision = mapped.map_revision;
+            self.follow_keyframes(corrected, map);
         }
-        let Some(keyframe) = new_keyframe.filter(|_| report.map_from_camera.is_some()) else {
-            return;
+        let new_keyframe = new_keyframe.filter(|_| report.map_from_camera.is_some());
+        let alignment = match new_keyframe {
+            Some(keyframe) => {
+                self.units.insert(keyframe.id(), keyframe.unit());
+                let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));
+                self.last_verdict = Some(alignment.verdict);
+                Some(alignment)
+            }
+            // A moment to spare: chunks may have come that show where earlier keyframes were.
+            None => self.localizer.retry(),
         };
-        let alignment = self.localizer.observe_keyframe(&observe(keyframe, map));
-        self.last_verdict = Some(alignment.verdict);
+        if let Some(alignment) = alignment {
+            self.report(&alignment);
+        }
     }
 
-    /// A loop closure changes the scale of the own map, and with it what alignments said of it.
-    fn follow_stretches(&mut self, map: &VslamMap) {
-        for keyframe in map.keyframes() {
+    /// Tells where the keyframes are now that alignments rest on, which are never many. A loop
+    /// closure changes the scale of the own map about them too.
+    fn follow_keyframes(&mut self, corrected: bool, map: &VslamMap) {
+        let tied = self.localizer.tied_keyframes();
+        let tied: Vec<&Keyframe> = tied
+            .iter()
+            .filter_map(|idx| map.keyframe(KeyframeId(u32::try_from(idx.0).ok()?)))
+            .collect();
+        for keyframe in tied.iter().filter(|_| corrected) {
             if let Some(unit) = self.units.get(&keyframe.id()) {
                 let factor = keyframe.unit() / unit;
                 let idx = keyframe_idx(keyframe.id());
                 self.localizer.keyframe_stretched(idx, factor);
             }
         }
+        self.units = tied.iter().map(|one| (one.id(), one.unit())).collect();
+        let poses = tied.iter();
+        let poses = poses.map(|known| (keyframe_idx(known.id()), known.map_from_camera()));
+        self.localizer.keyframes_moved(poses);
+    }
+
+    /// Says what an operator should know of an alignment.
+    fn report(&mut self, alignment: &AlignmentReport) {
+        if alignment.overruled {
+            tracing::warn!(
+                jumped = alignment.jumped,
+                "the alignment was wrong: keyframes that agree put the vehicle elsewhere"
+            );
+        } else if alignment.jumped {
+            tracing::warn!("the global pose has moved by more than its uncertainty explains");
+        }
+        self.report_left_out();
+    }
+
+    /// Names anchors that contradict the others, once.
+    fn report_left_out(&mut self) {
+        let estimate = self.localizer.estimate(Timestamp::default());
+        let left_out = estimate.map_or_else(Vec::new, |estimate| estimate.left_out);
+        for one in &left_out {
+            if !self.left_out.contains(&one.anchor) {
+                let (distance_m, turn_deg) = (one.distance_m, one.turn_rad.to_degrees());
+                tracing::warn!(
+                    anchor = self.names([one.anchor]),
+                    "left out, since it contradicts the others: {distance_m:.2} m, \
+                     {turn_deg:.1}° and a scale of {:.3} from them",
+                    one.scale
+                );
+            }
+        }
+        self.left_out = left_out.iter().map(|one| one.anchor).collect();
+    }
+
+    pub(super) fn localizer(&self) -> &Localizer {
+        &self.localizer
     }
 
     pub fn estimate(&self, now: Timestamp) -> Option<Estimate> {
@@ -207,6 +300,78 @@ impl PeerRole {
         self.fix_sigma_m
     }
 
+    pub fn circular_count(&self) -> u64 {
+        self.circular_count
+    }
+
+    /// Takes what a map's place rests on, and says what that means here. Once any part of a map is
+    /// said to be registered, all of it is.
+    fn rest_on(
+        &mut self,
+        map: &MapId,
+        reference: protocol::Reference,
+        provenance: &[VehicleId],
+    ) -> Reference {
+        let known = self.bases.entry(map.clone()).or_default();
+        if !reference.is_fixed() {
+            known.reference = reference;
+            known.provenance.extend(provenance.iter().cloned());
+        }
+        let is_circular = known.provenance.len() > PROVENANCE_COUNT_MAX;
+        let known = known.clone();
+        let reference = match self.reference_of(map, (known.reference, &known.provenance)) {
+            // What cannot be named in full might name this vehicle.
+            _ if is_circular => Reference::Circular,
+            reference => reference,
+        };
+        let anchor = self.anchor_idx(map);
+        if let Some(owner) = self.owners.get(&map.anchor) {
+            self.localizer.set_reference(anchor, *owner, reference);
+        }
+        reference
+    }
+
+    /// What came from here, in whatever way, is no evidence here.
+    fn reference_of(
+        &self,
+        map: &MapId,
+        (reference, provenance): (protocol::Reference, &BTreeSet<VehicleId>),
+    ) -> Reference {
+        match reference {
+            protocol::Reference::Fixed => Reference::Fixed,
+            protocol::Reference::Registered
+                if map.anchor == self.id || provenance.contains(&self.id) =>
+            {
+                Reference::Circular
+            }
+            protocol::Reference::Registered => Reference::Registered,
+        }
+    }
+
+    /// Everybody whose evidence an estimate rests on, directly or through others.
+    pub(super) fn provenance_of(&self, estimate: &Estimate) -> BTreeSet<VehicleId> {
+        let anchors = self.anchors.iter();
+        let used = anchors.filter(|(_, idx)| estimate.anchors.contains(idx));
+        let mut named = BTreeSet::new();
+        for (map, _) in used {
+            named.insert(map.anchor.clone());
+            let basis = self.bases.get(map);
+            named.extend(basis.into_iter().flat_map(|basis| basis.provenance.clone()));
+        }
+        named
+    }
+
+    /// Whom the registered maps of an estimate rest on, by name.
+    pub fn sources_of(&self, estimate: &Estimate) -> String {
+        let anchors = self.anchors.iter();
+        let used = anchors.filter(|(_, idx)| estimate.anchors.contains(idx));
+        let bases = used.filter_map(|(map, _)| self.bases.get(map));
+        let sources: BTreeSet<&str> = bases
+            .flat_map(|basis| basis.provenance.iter().map(VehicleId::as_str))
+            .collect();
+        sources.into_iter().collect::<Vec<_>>().join(", ")
+    }
+
     /// Why there is no estimate.
     pub fn reason(&self) -> String {
         if let Some(refusal) = &self.datum_refusal {
@@ -229,11 +394,18 @@ impl PeerRole {
     }
 
     /// The anchors that an estimate rests on, by name.
-    pub fn names(&self, anchors: &[AnchorIdx]) -> String {
+    pub fn names(&self, anchors: impl IntoIterator<Item = AnchorIdx>) -> String {
+        let anchors: Vec<AnchorIdx> = anchors.into_iter().collect();
         let names = self.anchors.iter();
         let names = names.filter(|(_, idx)| anchors.contains(idx));
-        let names: Vec<String> = names.map(|(map, _)| map.anchor.to_string()).collect();
+        let mut names: Vec<&str> = names.map(|(map, _)| map.anchor.as_str()).collect();
+        names.dedup();
         names.join(", ")
+    }
+
+    /// The anchors that contradict an estimate, by name.
+    pub fn names_of(&self, left_out: &[Contradiction]) -> String {
+        self.names(left_out.iter().map(|one| one.anchor))
     }
 
     pub fn landmarks_in_enu(&self) -> Vec<Vector3<f64>> {
@@ -244,12 +416,19 @@ impl PeerRole {
     }
 
     fn anchor_idx(&mut self, map: &MapId) -> AnchorIdx {
+        if let Some(known) = self.anchors.get(map) {
+            return *known;
+        }
         let next = AnchorIdx(u32::try_from(self.anchors.len()).unwrap_or(u32::MAX));
-        *self.anchors.entry(map.clone()).or_insert(next)
+        self.anchors.insert(map.clone(), next);
+        let owner = OwnerIdx(u32::try_from(self.owners.len()).unwrap_or(u32::MAX));
+        let owner = *self.owners.entry(map.anchor.clone()).or_insert(owner);
+        self.localizer.set_reference(next, owner, Reference::Fixed);
+        next
     }
 }
 
-fn keyframe_idx(id: KeyframeId) -> KeyframeIdx {
+pub(super) fn keyframe_idx(id: KeyframeId) -> KeyframeIdx {
     KeyframeIdx(u64::from(id.0))
 }
 

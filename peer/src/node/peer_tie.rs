@@ -2,7 +2,7 @@
 //! or by both.
 
 use geometry::Timestamp;
-use registration::localizer::Verdict;
+use registration::localizer::{Reference, Verdict};
 use registration::{Estimate, FrameLocation, FrameObservation, NearPose, ObservedFeature};
 use vslam::{ExtractedFrame, FrameReport};
 
@@ -69,8 +69,9 @@ impl PeerRole {
             tie,
             pose: pose.map(|pose| (pose.enu_from_camera, pose.covariance)),
             datum: self.datum().cloned(),
-            jump_count: estimate.map_or(0, |estimate| estimate.jump_count)
+            jump_count: estimate.as_ref().map_or(0, |estimate| estimate.jump_count)
                 + self.handover.jump_count(),
+            overruled_count: estimate.map_or(0, |estimate| estimate.overruled_count),
         }
     }
 
@@ -95,24 +96,34 @@ impl PeerRole {
             objection: None,
             basis: format!(
                 "single frames located among the chunks of {}",
-                self.names(&[located.anchor])
+                self.names([located.anchor])
             ),
         })
     }
 
     fn tie_by_map(&self, estimate: &Estimate, pose: Option<&GlobalCamera>) -> Tie {
-        let objection = estimate.conflict.then(|| {
-            let others = self.names(&estimate.inconsistent_anchors);
-            format!(
-                "conflict: {} and {others} contradict each other",
-                self.names(&estimate.anchors)
-            )
-        });
+        let names = self.names(estimate.anchors.iter().copied());
+        let left_out = self.names_of(&estimate.left_out);
+        let objection = estimate
+            .conflict
+            .then(|| format!("conflict: {names} and {left_out} contradict each other"));
+        let names = match estimate.reference {
+            Reference::Fixed => names,
+            Reference::Registered | Reference::Circular => {
+                let sources = self.sources_of(estimate);
+                format!("{names}, itself registered ({sources})")
+            }
+        };
+        let basis = if left_out.is_empty() {
+            format!("registered to {names}")
+        } else {
+            format!("registered to {names}; {left_out} contradicts and is left out")
+        };
         Tie::Known(KnownTie {
             age_s: estimate.age_s,
             position_sigma_m: pose.map(GlobalCamera::sigma_m),
             objection,
-            basis: format!("registered to {}", self.names(&estimate.anchors)),
+            basis,
         })
     }
 }

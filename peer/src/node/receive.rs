@@ -122,7 +122,11 @@ impl Node {
 
     /// Whether this vehicle is the only one with something to say about the map.
     fn is_own_map(&self, map: &MapId) -> bool {
-        matches!(&self.role, Role::Anchor(role) if role.map() == map)
+        let own = match &self.role {
+            Role::Anchor(role) => role.map(),
+            Role::Peer(role) => role.shared_map(),
+        };
+        own == map
     }
 
     /// The link does not bring back what this vehicle has said itself.

@@ -13,6 +13,7 @@ pub(super) struct TiedPose {
     pub pose: Option<(Transform<Enu, Camera>, Matrix6<f64>)>,
     pub datum: Option<Datum>,
     pub jump_count: u64,
+    pub overruled_count: u64,
 }
 
 /// The covariance of a camera's pose in the global frame, `[ω; p]` in the global axes.

@@ -88,8 +88,18 @@ proptest! {
     }
 
     #[test]
-    fn manifests_come_back(chunks in ranges(), held in ranges(), datum in any_datum()) {
-        let message = Manifest { chunks, held, datum, ..manifest() };
+    fn manifests_come_back(
+        chunks in ranges(),
+        held in ranges(),
+        datum in any_datum(),
+        sources in prop::collection::vec("[a-z0-9]{1,32}", 0..=PROVENANCE_COUNT_MAX),
+    ) {
+        let reference = match sources.is_empty() {
+            true => Reference::Fixed,
+            false => Reference::Registered,
+        };
+        let provenance = sources.iter().map(|source| vehicle(source)).collect();
+        let message = Manifest { chunks, held, datum, reference, provenance, ..manifest() };
         prop_assert_eq!(decode::<Manifest>(&encode(&message)), Ok(message));
     }
 

@@ -18,6 +18,7 @@ mod outage;
 mod processes;
 mod real_video;
 mod recordings;
+mod relay;
 mod station;
 mod usage;
 mod wire;

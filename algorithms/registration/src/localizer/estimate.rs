@@ -4,7 +4,7 @@ use geometry::{Camera, Enu, Map, Matrix7, Similarity, Timestamp, Transform};
 use nalgebra::{Matrix3, Matrix6};
 
 use super::track::drift_covariance;
-use super::types::{AnchorIdx, DriftRates};
+use super::types::{AnchorIdx, Contradiction, DriftRates, Reference};
 
 /// Where the own map stands on the Earth.
 #[derive(Clone, Debug)]
@@ -24,10 +24,14 @@ pub struct Estimate {
     pub accepted_count: u64,
     /// How often the estimate changed by more than its uncertainty explained.
     pub jump_count: u64,
+    /// How often keyframes that agreed with each other replaced a wrong alignment.
+    pub overruled_count: u64,
     /// The anchors that the estimate rests on.
     pub anchors: Vec<AnchorIdx>,
+    /// How those came to their places.
+    pub reference: Reference,
     /// The anchors that contradict them and were left out.
-    pub inconsistent_anchors: Vec<AnchorIdx>,
+    pub left_out: Vec<Contradiction>,
     /// Anchors contradict each other and nothing decides between them.
     pub conflict: bool,
     pub(super) drift: DriftRates,
@@ -55,6 +59,19 @@ impl Estimate {
             .into_owned()
     }
 
+    /// The covariance of `enu_from_map` where a camera is: over `[ω; ν; ln s]` in its axes and the
+    /// map's unit.
+    ///
+    /// It grows with the distance between the camera and the newest keyframe.
+    pub fn covariance_at(&self, map_from_camera: &Transform<Map, Camera>) -> Matrix7 {
+        // S exp(δ) B = S B exp(Ad(B⁻¹) δ).
+        let camera_from_map = Similarity::from(map_from_camera.inverse()).adjoint();
+        let keyframe = self.map_from_keyframe.translation();
+        let travelled = (map_from_camera.translation() - keyframe).norm();
+        camera_from_map * self.covariance * camera_from_map.transpose()
+            + drift_covariance(&self.drift, self.depth_in_map, travelled)
+    }
+
     /// The covariance of a camera's pose in the global frame: `[ω; p]`, the rotation vector
     /// (rad) and the position (m) in the axes of the global frame.
     ///
@@ -64,12 +81,7 @@ impl Estimate {
         map_from_camera: &Transform<Map, Camera>,
         pose_covariance: Option<&Matrix6<f64>>,
     ) -> Matrix6<f64> {
-        // S exp(δ) B = S B exp(Ad(B⁻¹) δ): first in the camera's axes and the map's unit.
-        let camera_from_map = Similarity::from(map_from_camera.inverse()).adjoint();
-        let keyframe = self.map_from_keyframe.translation();
-        let travelled = (map_from_camera.translation() - keyframe).norm();
-        let in_camera = camera_from_map * self.covariance * camera_from_map.transpose()
-            + drift_covariance(&self.drift, self.depth_in_map, travelled);
+        let in_camera = self.covariance_at(map_from_camera);
         let mut covariance = in_camera.fixed_view::<6, 6>(0, 0).into_owned();
         if let Some(pose_covariance) = pose_covariance {
             covariance += pose_covariance;

@@ -8,13 +8,14 @@ use std::collections::{BTreeMap, VecDeque};
 use geometry::{Camera, Enu, Map, Matrix7, Similarity, Timestamp, Transform};
 use rand_chacha::ChaCha8Rng;
 
-use super::fusion::{Vote, weighted_mean};
+use super::Localizer;
+use super::anchor::Anchor;
+use super::fusion::{Vote, past_place};
 use super::landmarks::AnchorLandmarks;
 use super::locate::{Attempt, Effort, Hint, Located};
 use super::matching::FeatureIndex;
 use super::track::{Entry, State, Step, drift_covariance, first_state};
 use super::types::{AnchorIdx, KeyframeIdx, KeyframeObservation, LocalizerSettings};
-use super::{Anchor, Localizer};
 
 /// Keyframes from before the first alignment that are remembered: some 10 MB.
 const EARLY_COUNT_MAX: usize = 64;
@@ -44,10 +45,21 @@ impl Localizer {
     ///
     /// - `keyframes`: where those that still exist stand in the own map now; others are left out.
     pub fn corrected_keyframes(&self, keyframes: &KeyframePoses) -> Vec<CorrectedKeyframe> {
-        let anchors = self.fused.as_ref().map_or(&[][..], |fused| &fused.anchors);
+        self.corrected(keyframes, true)
+    }
+
+    /// The same without those from before the first alignment, which would have to be located.
+    pub fn placed_keyframes(&self, keyframes: &KeyframePoses) -> Vec<CorrectedKeyframe> {
+        self.corrected(keyframes, false)
+    }
+
+    fn corrected(&self, keyframes: &KeyframePoses, with_early: bool) -> Vec<CorrectedKeyframe> {
+        if self.fused.is_none() {
+            return Vec::new();
+        }
         let mut votes: BTreeMap<KeyframeTime, Vec<(Vote, f64)>> = BTreeMap::new();
-        for idx in anchors {
-            for (time, vote) in self.past_votes(*idx, keyframes) {
+        for idx in self.believed_anchors() {
+            for (time, vote) in self.past_votes(idx, keyframes, with_early) {
                 votes.entry(time).or_default().push(vote);
             }
         }
@@ -55,8 +67,8 @@ impl Localizer {
             .into_iter()
             .filter_map(|((captured_at, keyframe), list)| {
                 let map_from_camera = keyframes.get(&keyframe)?;
-                let votes: Vec<&Vote> = list.iter().map(|(vote, _)| vote).collect();
-                let (enu_from_camera, covariance) = weighted_mean(&votes)?;
+                let votes: Vec<Vote> = list.iter().map(|(vote, _)| *vote).collect();
+                let (enu_from_camera, covariance) = past_place(&votes)?;
                 let (_, depth) = list.first()?;
                 Some(CorrectedKeyframe {
                     keyframe,
@@ -70,6 +82,16 @@ impl Localizer {
         corrected.collect()
     }
 
+    /// All that can be used and do not contradict the estimate.
+    pub(super) fn believed_anchors(&self) -> Vec<AnchorIdx> {
+        let fused = self.fused.as_ref();
+        let left_out = fused.map_or(&[][..], |fused| &fused.left_out[..]);
+        let is_left_out = |idx: &AnchorIdx| left_out.iter().any(|one| one.anchor == *idx);
+        let usable = self.anchors.iter().filter(|(_, anchor)| anchor.is_usable());
+        let believed = usable.map(|(idx, _)| *idx);
+        believed.filter(|idx| !is_left_out(idx)).collect()
+    }
+
     pub(super) fn remember_early(&mut self, keyframe: &KeyframeObservation) {
         if self.early.len() == EARLY_COUNT_MAX {
             self.early.pop_front();
@@ -79,7 +101,12 @@ impl Localizer {
 
     /// The entries of an anchor's track along the own map as it is now, the oldest first; what
     /// came before the first of them is located among the landmarks that came since.
-    fn entries_now(&self, anchor: &Anchor, keyframes: &KeyframePoses) -> VecDeque<Entry> {
+    fn entries_now(
+        &self,
+        anchor: &Anchor,
+        keyframes: &KeyframePoses,
+        with_early: bool,
+    ) -> VecDeque<Entry> {
         let mut entries: VecDeque<Entry> = anchor
             .track
             .history()
@@ -91,6 +118,9 @@ impl Localizer {
                 })
             })
             .collect();
+        if !with_early {
+            return entries;
+        }
         let oldest = smooth(&entries, &anchor.landmarks, &self.settings);
         let Some(mut state) = oldest.first().map(|(_, state)| *state) else {
             return entries;
@@ -131,17 +161,19 @@ impl Localizer {
         &self,
         idx: AnchorIdx,
         keyframes: &KeyframePoses,
+        with_early: bool,
     ) -> Vec<(KeyframeTime, (Vote, f64))> {
         let anchor = self.anchors.get(&idx);
         let placed = anchor.and_then(|anchor| Some((anchor, anchor.landmarks.placement()?)));
         let Some((anchor, placement)) = placed else {
             return Vec::new();
         };
-        let entries = self.entries_now(anchor, keyframes);
+        let entries = self.entries_now(anchor, keyframes, with_early);
         let smoothed = smooth(&entries, &anchor.landmarks, &self.settings);
         let vote = |(time, state): (KeyframeTime, State)| {
             let pose = &state.map_from_camera;
-            let vote = Vote::new(idx, &state, placement, pose, &self.settings);
+            let voter = anchor.voter(idx);
+            let vote = Vote::new(voter, &state, placement, pose, &self.settings);
             (time, (vote, state.depth))
         };
         smoothed.into_iter().map(vote).collect()

@@ -6,6 +6,7 @@ use features::Descriptor;
 use geometry::{Chunk, Enu, Map, Matrix7, Similarity};
 use nalgebra::{Matrix3, Vector3};
 
+use super::chunk_grid::ChunkGrid;
 use super::types::{ChunkIdx, ChunkIntake, Landmark};
 
 /// An anchor's map, apart from the own one.
@@ -16,6 +17,9 @@ const LANDMARKS_PER_CHUNK_MAX: usize = 4096;
 const CHUNKS_PER_ANCHOR_MAX: usize = 16_384;
 /// Lengths in a chunk are of the order of its scene; beyond this they are not believed.
 const LENGTH_LIMIT: f64 = 1e6;
+/// A landmark is found again from so many times nearer or farther at most: the range of the image
+/// pyramid.
+pub(super) const DISTANCE_FACTOR_MAX: f64 = 5.0;
 
 /// A landmark in its anchor's map.
 #[derive(Clone, Copy, Debug)]
@@ -35,6 +39,8 @@ pub(super) struct StoredChunk {
     placed: Vec<PlacedLandmark>,
     centre: Vector3<f64>,
     radius: f64,
+    /// A camera farther from the centre finds none of the landmarks.
+    reach: f64,
 }
 
 impl StoredChunk {
@@ -76,6 +82,11 @@ impl StoredChunk {
             .iter()
             .map(|one| (one.point - self.centre).norm());
         self.radius = distances.fold(0.0, f64::max);
+        let reaches = self
+            .placed
+            .iter()
+            .map(|one| (one.point - self.centre).norm() + DISTANCE_FACTOR_MAX * one.distance);
+        self.reach = reaches.fold(0.0, f64::max);
     }
 }
 
@@ -96,6 +107,9 @@ pub(super) struct AnchorLandmarks {
     /// Where removed chunks stood: what was located relative to them stays true.
     last_placements: BTreeMap<ChunkIdx, Similarity<AnchorMap, Chunk>>,
     placement: Option<AnchorPlacement>,
+    /// The placed chunks by where they can be seen from.
+    grid: ChunkGrid,
+    placed_count: usize,
     landmark_count: usize,
 }
 
@@ -112,7 +126,7 @@ impl AnchorLandmarks {
             };
         }
         let accepted_count = landmarks.len();
-        let replaced = self.chunks.remove(&chunk);
+        let replaced = self.take_out(chunk);
         let known_placement = replaced.and_then(|replaced| replaced.map_from_chunk);
         let mut stored = StoredChunk {
             landmarks,
@@ -120,10 +134,10 @@ impl AnchorLandmarks {
             placed: Vec::new(),
             centre: Vector3::zeros(),
             radius: 0.0,
+            reach: 0.0,
         };
         stored.place();
-        self.chunks.insert(chunk, stored);
-        self.count_landmarks();
+        self.put_in(chunk, stored);
         ChunkIntake {
             accepted_count,
             refused_count: offered_count - accepted_count,
@@ -139,11 +153,11 @@ impl AnchorLandmarks {
         if !is_finite(map_from_chunk) {
             return false;
         }
-        match self.chunks.get_mut(&chunk) {
-            Some(stored) => {
+        match self.take_out(chunk) {
+            Some(mut stored) => {
                 stored.map_from_chunk = Some(map_from_chunk.relabel());
                 stored.place();
-                self.count_landmarks();
+                self.put_in(chunk, stored);
             }
             None if self.early_placements.len() < CHUNKS_PER_ANCHOR_MAX => {
                 self.early_placements
@@ -173,7 +187,7 @@ impl AnchorLandmarks {
     }
 
     pub fn remove_chunk(&mut self, chunk: ChunkIdx) {
-        let removed = self.chunks.remove(&chunk);
+        let removed = self.take_out(chunk);
         if let Some(placement) = removed.and_then(|removed| removed.map_from_chunk) {
             self.last_placements.insert(chunk, placement);
             while self.last_placements.len() > CHUNKS_PER_ANCHOR_MAX {
@@ -181,7 +195,6 @@ impl AnchorLandmarks {
             }
         }
         self.early_placements.remove(&chunk);
-        self.count_landmarks();
     }
 
     pub fn placement(&self) -> Option<&AnchorPlacement> {
@@ -205,13 +218,66 @@ impl AnchorLandmarks {
         chunks.filter(|(_, chunk)| !chunk.placed.is_empty())
     }
 
+    /// The same from a number on, and then from the first.
+    pub fn placed_chunks_from(
+        &self,
+        first: ChunkIdx,
+    ) -> impl Iterator<Item = (ChunkIdx, &StoredChunk)> {
+        let chunks = self.chunks.range(first..).chain(self.chunks.range(..first));
+        let chunks = chunks.map(|(idx, chunk)| (*idx, chunk));
+        chunks.filter(|(_, chunk)| !chunk.placed.is_empty())
+    }
+
+    /// The placed chunks that a camera at a place may see something of, in order; beyond so many
+    /// landmarks the newest.
+    pub fn chunks_near(
+        &self,
+        place: &Vector3<f64>,
+        landmark_count_max: usize,
+    ) -> Vec<(ChunkIdx, &StoredChunk)> {
+        let mut near = self.grid.near(place);
+        near.sort_unstable_by(|a, b| b.cmp(a));
+        let stored = near
+            .into_iter()
+            .filter_map(|idx| Some((idx, self.chunks.get(&idx)?)));
+        let within_reach = stored.filter(|(_, chunk)| (place - chunk.centre).norm() <= chunk.reach);
+        let mut landmark_count = 0;
+        let mut chosen: Vec<_> = within_reach
+            .take_while(|(_, chunk)| {
+                landmark_count += chunk.placed.len();
+                landmark_count <= landmark_count_max
+            })
+            .collect();
+        chosen.reverse();
+        chosen
+    }
+
+    pub fn placed_count(&self) -> usize {
+        self.placed_count
+    }
+
     /// Landmarks of placed chunks.
     pub fn landmark_count(&self) -> usize {
         self.landmark_count
     }
 
-    fn count_landmarks(&mut self) {
-        self.landmark_count = self.chunks.values().map(|chunk| chunk.placed.len()).sum();
+    fn put_in(&mut self, idx: ChunkIdx, chunk: StoredChunk) {
+        if !chunk.placed.is_empty() {
+            self.grid.insert(idx, &chunk.centre, chunk.reach);
+            self.placed_count += 1;
+            self.landmark_count += chunk.placed.len();
+        }
+        self.chunks.insert(idx, chunk);
+    }
+
+    fn take_out(&mut self, idx: ChunkIdx) -> Option<StoredChunk> {
+        let chunk = self.chunks.remove(&idx)?;
+        if !chunk.placed.is_empty() {
+            self.grid.remove(idx, &chunk.centre, chunk.reach);
+            self.placed_count -= 1;
+            self.landmark_count -= chunk.placed.len();
+        }
+        Some(chunk)
     }
 }
 

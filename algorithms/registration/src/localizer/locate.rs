@@ -31,7 +31,7 @@ pub(super) struct Located {
 /// Where to look.
 pub(super) enum Hint {
     /// Everywhere; begins with this chunk.
-    Nowhere { cursor: usize },
+    Nowhere { cursor: ChunkIdx },
     /// Near a predicted pose.
     Predicted {
         camera_from_anchor: Transform<Camera, AnchorMap>,
@@ -43,6 +43,7 @@ pub(super) enum Hint {
 /// Counts on the way, whatever the end.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Effort {
+    pub chunk_count: usize,
     pub candidate_count: usize,
     pub match_count: usize,
     pub inlier_count: usize,
@@ -78,12 +79,13 @@ impl Attempt<'_> {
 
     fn find(
         &self,
-        cursor: &mut usize,
+        cursor: &mut ChunkIdx,
         effort: &mut Effort,
         rng: &mut ChaCha8Rng,
     ) -> Result<Transform<Camera, AnchorMap>, Refusal> {
         let matches = search(self.features, self.anchor, self.settings, cursor);
-        effort.candidate_count = matches.candidate_count;
+        effort.chunk_count += matches.chunk_count;
+        effort.candidate_count += matches.candidate_count;
         effort.match_count = matches.list.len();
         let observations = self.loose_observations(&matches.list);
         let settings = RansacSettings {
@@ -130,7 +132,8 @@ impl Attempt<'_> {
         rng: &mut ChaCha8Rng,
     ) -> Result<Transform<Camera, AnchorMap>, Refusal> {
         let matches = match_predicted(self.features, self.anchor, predicted, radius, self.settings);
-        effort.candidate_count = matches.candidate_count;
+        effort.chunk_count += matches.chunk_count;
+        effort.candidate_count += matches.candidate_count;
         effort.match_count = matches.list.len();
         let required = self.settings.inlier_count_min;
         if matches.candidate_count < required {
@@ -176,7 +179,10 @@ impl Attempt<'_> {
         let mut pose = *start;
         let mut result = None;
         for radius in [2.0 * settings.refine_radius, settings.refine_radius] {
-            let matches = match_predicted(self.features, self.anchor, &pose, radius, settings).list;
+            let matches = match_predicted(self.features, self.anchor, &pose, radius, settings);
+            effort.chunk_count += matches.chunk_count;
+            effort.candidate_count += matches.candidate_count;
+            let matches = matches.list;
             let observations = self.exact_observations(&matches, &pose);
             let refined = refine_absolute_pose(&pose, &observations, &RefineSettings::default())
                 .map_err(|_| Refusal::NoConsensus)?;

@@ -4,7 +4,7 @@ use features::Descriptor;
 use geometry::{Camera, Transform};
 use nalgebra::{Vector2, Vector3};
 
-use super::landmarks::{AnchorLandmarks, AnchorMap, PlacedLandmark};
+use super::landmarks::{AnchorLandmarks, AnchorMap, DISTANCE_FACTOR_MAX, PlacedLandmark};
 use super::types::{ChunkIdx, LocalizerSettings, ObservedFeature};
 
 /// Landmarks nearer to each other than this share of their distance are one thing, twice mapped;
@@ -14,8 +14,6 @@ const TWIN_DISTANCE: f64 = 0.05;
 const TWIN_POSITION: f64 = 0.01;
 /// A landmark is looked for only from within this angle of its first view (cosine).
 const VIEW_ANGLE_COSINE_MIN: f64 = 0.5;
-/// And from this many times nearer or farther at most: the range of the image pyramid.
-const DISTANCE_FACTOR_MAX: f64 = 5.0;
 
 /// A feature and the landmark that it may show.
 #[derive(Clone, Copy)]
@@ -169,29 +167,25 @@ impl<'a> Ranking<'a> {
 pub(super) struct Matches<'a> {
     pub list: Vec<LandmarkMatch<'a>>,
     pub candidate_count: usize,
+    /// How many chunks were looked at.
+    pub chunk_count: usize,
 }
 
 /// Compares all features with as many chunks as the budget allows.
 ///
-/// `cursor` says with which placed chunk to begin, and is moved on, so that successive calls see
-/// every chunk.
+/// `cursor` says with which chunk to begin, and is moved on, so that successive calls see every
+/// chunk.
 pub(super) fn search<'a>(
     features: &FeatureIndex,
     anchor: &'a AnchorLandmarks,
     settings: &LocalizerSettings,
-    cursor: &mut usize,
+    cursor: &mut ChunkIdx,
 ) -> Matches<'a> {
-    let chunks: Vec<_> = anchor.placed_chunks().collect();
     let landmark_limit = (settings.search_distance_count_max / features.len().max(1)).max(1);
     let mut rankings = vec![Ranking::EMPTY; features.len()];
     let mut candidate_count = 0;
-    let mut visited_count = 0;
-    let first = if chunks.is_empty() {
-        0
-    } else {
-        *cursor % chunks.len()
-    };
-    for (chunk_idx, chunk) in chunks.iter().cycle().skip(first).take(chunks.len()) {
+    let mut visited: Vec<ChunkIdx> = Vec::new();
+    for (chunk_idx, chunk) in anchor.placed_chunks_from(*cursor) {
         if candidate_count > 0 && candidate_count + chunk.placed().len() > landmark_limit {
             break;
         }
@@ -200,20 +194,20 @@ pub(super) fn search<'a>(
                 let candidate = LandmarkMatch {
                     feature_idx,
                     landmark,
-                    chunk: *chunk_idx,
+                    chunk: chunk_idx,
                 };
                 rankings[feature_idx].offer(distance, candidate);
             }
         }
         candidate_count += chunk.placed().len();
-        visited_count += 1;
+        visited.push(chunk_idx);
     }
     // Half of what was seen is seen again: a place that straddles the border is not missed.
-    let complete = visited_count == chunks.len();
-    *cursor = if complete {
-        0
-    } else {
-        first + visited_count.div_ceil(2)
+    let complete = visited.len() == anchor.placed_count();
+    let next = visited.get(visited.len().div_ceil(2));
+    *cursor = match next.or(visited.last()) {
+        Some(next) if !complete => *next,
+        _ => ChunkIdx(0),
     };
     let winners = rankings
         .iter()
@@ -221,6 +215,7 @@ pub(super) fn search<'a>(
     Matches {
         list: winners.collect(),
         candidate_count,
+        chunk_count: visited.len(),
     }
 }
 
@@ -272,7 +267,9 @@ pub(super) fn match_predicted<'a>(
     let view = View::new(features, camera_from_anchor, radius);
     let mut rankings = vec![Ranking::EMPTY; features.len()];
     let mut candidate_count = 0;
-    for (chunk, stored) in anchor.placed_chunks() {
+    let chunks = anchor.chunks_near(&view.position, settings.predicted_landmark_count_max);
+    let chunk_count = chunks.len();
+    for (chunk, stored) in chunks {
         let (centre, sphere_radius) = stored.bounds();
         if !view.may_see(&centre, sphere_radius) {
             continue;
@@ -315,6 +312,7 @@ pub(super) fn match_predicted<'a>(
     Matches {
         list: winners.collect(),
         candidate_count,
+        chunk_count,
     }
 }
 
@@ -358,7 +356,7 @@ pub(super) fn coverage(
     };
     let mut cells = [Cell::default(); COVERAGE_GRID[0] * COVERAGE_GRID[1]];
     let view = View::new(features, camera_from_anchor, 0.0);
-    for (_, chunk) in anchor.placed_chunks() {
+    for (_, chunk) in anchor.chunks_near(&view.position, usize::MAX) {
         let (centre, radius) = chunk.bounds();
         if !view.may_see(&centre, radius) {
             continue;

@@ -8,11 +8,14 @@ use std::collections::{BTreeMap, VecDeque};
 use geometry::{Camera, Chunk, Enu, Matrix7, Similarity, Timestamp, Transform};
 use nalgebra::{Matrix6, Vector6};
 
+use super::Localizer;
+use super::anchor::Anchor;
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::locate::{Attempt, Effort, Hint, Located};
 use super::matching::{FeatureIndex, coverage, match_predicted};
-use super::types::{AnchorIdx, ChunkIdx, LocalizerSettings, ObservedFeature, Refusal, Verdict};
-use super::{Anchor, Localizer};
+use super::types::{
+    AnchorIdx, ChunkIdx, LocalizerSettings, ObservedFeature, Reference, Refusal, Verdict,
+};
 
 /// All landmarks are searched at most every so often: a search costs about 20 ms.
 const SEARCH_INTERVAL_S: f64 = 0.19;
@@ -72,7 +75,7 @@ pub(super) struct SingleFrames {
     searched: Option<Verdict>,
     /// Which anchor is searched next, and in each where to go on.
     turn: usize,
-    cursors: BTreeMap<AnchorIdx, usize>,
+    cursors: BTreeMap<AnchorIdx, ChunkIdx>,
     /// Frames that were believed, the oldest first.
     past: VecDeque<PastFrame>,
 }
@@ -210,7 +213,8 @@ impl Localizer {
     ) -> Result<(Place, Located), Refusal> {
         let anchor = self.anchors.get(&idx).ok_or(Refusal::NoLandmarks)?;
         let attempt = image.attempt(anchor, &self.settings);
-        let cursor = self.single_frames.cursors.entry(idx).or_default();
+        let cursor = self.single_frames.cursors.entry(idx);
+        let cursor = cursor.or_insert(ChunkIdx(0));
         let mut hint = Hint::Nowhere { cursor: *cursor };
         let located = attempt.locate(&mut hint, &mut Effort::default(), &mut self.frame_rng);
         if let Hint::Nowhere { cursor: next } = hint {
@@ -310,17 +314,15 @@ impl Localizer {
         })
     }
 
-    /// Anchors that are placed, have landmarks, and are not contradicted by others.
+    /// Anchors that are placed, have landmarks, and are not contradicted by others; those with
+    /// fixes of their own first.
     fn usable_anchors(&self) -> Vec<AnchorIdx> {
-        let contradicted = |idx: &AnchorIdx| {
-            let fused = self.fused.as_ref();
-            fused.is_some_and(|fused| fused.inconsistent_anchors.contains(idx))
-        };
-        let usable = self.anchors.iter().filter(|(idx, anchor)| {
-            let landmarks = &anchor.landmarks;
-            landmarks.placement().is_some() && landmarks.landmark_count() > 0 && !contradicted(idx)
+        let mut usable = self.believed_anchors();
+        usable.sort_by_key(|idx| {
+            let reference = self.anchors.get(idx).map(|anchor| anchor.reference);
+            (reference != Some(Reference::Fixed), *idx)
         });
-        usable.map(|(idx, _)| *idx).collect()
+        usable
     }
 }
 

@@ -1,9 +1,14 @@
 //! Whole alignments in a synthetic room; the flight knows the truth, the localiser does not.
 
+mod chain;
+mod growth;
+mod late_chunks;
+mod settling;
+mod votes;
 pub(super) mod world;
 
 use features::Descriptor;
-use geometry::{Matrix7, Similarity, Timestamp};
+use geometry::{Enu, Matrix7, Similarity, Timestamp};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -158,73 +163,6 @@ fn hindsight_is_better_and_reaches_back_before_the_first_landmarks() {
     assert!(now_sum < 0.8 * then_sum, "{now_sum} {then_sum}");
 }
 
-fn honest(idx: u32) -> AnchorSettings {
-    AnchorSettings {
-        idx: AnchorIdx(idx),
-        unit_m: 1.0 + 0.5 * f64::from(idx),
-        ..AnchorSettings::default()
-    }
-}
-
-fn lying(idx: u32) -> AnchorSettings {
-    AnchorSettings {
-        lie: Vector3::new(0.4, -0.3, 0.2),
-        ..honest(idx)
-    }
-}
-
-#[test]
-fn two_anchors_that_agree_are_both_used() {
-    let mut scene = scene(3, 1.0);
-    scene.publish(&honest(0));
-    scene.publish(&honest(1));
-    (0..20).for_each(|step| drop(scene.step(step)));
-    let estimate = scene.estimate().unwrap();
-    assert_eq!(estimate.anchors, [AnchorIdx(0), AnchorIdx(1)]);
-    assert!(!estimate.conflict);
-    assert!(scene.position_error().unwrap().0 < 0.08);
-}
-
-#[test]
-fn one_honest_and_one_lying_anchor_are_a_conflict_with_a_large_covariance() {
-    let mut scene = scene(4, 1.0);
-    scene.publish(&honest(0));
-    (0..10).for_each(|step| drop(scene.step(step)));
-    let sigma_before = sigma(&scene);
-    scene.publish(&lying(1));
-    (10..20).for_each(|step| drop(scene.step(step)));
-    let estimate = scene.estimate().unwrap();
-    assert!(estimate.conflict);
-    assert_eq!(
-        estimate.anchors,
-        [AnchorIdx(0)],
-        "the one that was trusted stays"
-    );
-    assert_eq!(estimate.inconsistent_anchors, [AnchorIdx(1)]);
-    // The lie is 0.54 m long.
-    assert!(sigma(&scene) > 0.4 && sigma_before < 0.1);
-}
-
-fn sigma(scene: &Scene) -> f64 {
-    let estimate = scene.estimate().unwrap();
-    let covariance = estimate.position_covariance(&scene.flyer.map_from_camera(), None);
-    covariance.trace().sqrt()
-}
-
-#[test]
-fn two_honest_anchors_overrule_a_lying_one_and_name_it() {
-    let mut scene = scene(5, 1.0);
-    scene.publish(&lying(0));
-    scene.publish(&honest(1));
-    scene.publish(&honest(2));
-    (0..20).for_each(|step| drop(scene.step(step)));
-    let estimate = scene.estimate().unwrap();
-    assert!(!estimate.conflict);
-    assert_eq!(estimate.anchors, [AnchorIdx(1), AnchorIdx(2)]);
-    assert_eq!(estimate.inconsistent_anchors, [AnchorIdx(0)]);
-    assert!(scene.position_error().unwrap().0 < 0.1);
-}
-
 /// Goal: no alignment where there is none. Method: the flyer sees another world than the anchor.
 #[test]
 fn another_world_is_never_aligned() {
@@ -363,20 +301,6 @@ fn a_map_that_started_anew_is_aligned_anew() {
     assert!(scene.position_error().unwrap().0 < 0.08);
 }
 
-/// Goal: a wrong alignment is overruled, and the jump counted. Method: the own map changes
-/// without a word, which makes the alignment wrong.
-#[test]
-fn a_wrong_alignment_is_overruled_and_the_jump_counted() {
-    let mut scene = scene(9, 1.0);
-    scene.publish(&AnchorSettings::default());
-    (0..10).for_each(|step| drop(scene.step(step)));
-    scene.flyer.restart_map();
-    let jumps = (10..30).filter(|step| scene.step(*step).jumped).count();
-    assert_eq!(jumps, 1);
-    assert_eq!(scene.estimate().unwrap().jump_count, 1);
-    assert!(scene.position_error().unwrap().0 < 0.08);
-}
-
 #[test]
 fn a_new_placement_moves_the_estimate_and_an_old_one_does_not() {
     let mut scene = scene(10, 0.0);
@@ -466,8 +390,8 @@ fn stretched_keyframes_scale_the_alignment() {
 fn equal_input_gives_equal_estimates() {
     let run = || {
         let mut scene = scene(12, 1.0);
-        scene.publish(&honest(0));
-        scene.publish(&honest(1));
+        scene.publish(&votes::honest(0));
+        scene.publish(&votes::honest(1));
         (0..10).for_each(|step| drop(scene.step(step)));
         scene.estimate().unwrap()
     };

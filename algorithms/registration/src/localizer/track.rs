@@ -322,6 +322,17 @@ impl Track {
         self.entries.back()
     }
 
+    /// Whether it rests on this keyframe.
+    pub fn holds(&self, keyframe: KeyframeIdx) -> bool {
+        self.entries.iter().any(|entry| entry.keyframe == keyframe)
+    }
+
+    /// The keyframes that it rests on, and those that wait.
+    pub fn keyframes(&self) -> impl Iterator<Item = KeyframeIdx> {
+        let entries = self.entries.iter().chain(&self.waiting);
+        entries.map(|entry| entry.keyframe)
+    }
+
     pub fn admit(
         &mut self,
         mut entry: Entry,
@@ -329,6 +340,8 @@ impl Track {
         anchor: &AnchorLandmarks,
         settings: &LocalizerSettings,
     ) -> Admission {
+        self.waiting
+            .retain(|known| known.keyframe != entry.keyframe);
         if let Some(state) = &self.state {
             let predicted = state.predicted(&entry.map_from_camera, &settings.drift);
             let scale = predicted.anchor_from_camera.scale();
@@ -337,7 +350,7 @@ impl Track {
                 measurement.disagreement(&predicted) < settings.disagreement_max
             });
             if agrees {
-                self.entries.push_back(entry);
+                self.insert(entry);
                 while self.entries.len() > settings.window_keyframe_count {
                     self.past.extend(self.entries.pop_front());
                 }
@@ -361,12 +374,19 @@ impl Track {
         self.count_votes(anchor, settings)
     }
 
+    /// Entries are in the order of time, also those of keyframes that were located late.
+    fn insert(&mut self, entry: Entry) {
+        let is_earlier = |known: &Entry| known.captured_at <= entry.captured_at;
+        let place = self.entries.partition_point(is_earlier);
+        self.entries.insert(place, entry);
+    }
+
     /// Whether the newest waiting entry has enough company to found a new track.
     fn count_votes(&mut self, anchor: &AnchorLandmarks, settings: &LocalizerSettings) -> Admission {
         let Some(newest) = self.waiting.back() else {
             return Admission::Waits;
         };
-        let agreeing: Vec<Entry> = self
+        let mut agreeing: Vec<Entry> = self
             .waiting
             .iter()
             .filter(|entry| {
@@ -374,6 +394,7 @@ impl Track {
             })
             .cloned()
             .collect();
+        agreeing.sort_by_key(|entry| entry.captured_at);
         let inlier_count: usize = agreeing
             .iter()
             .map(|entry| entry.located.inlier_count)

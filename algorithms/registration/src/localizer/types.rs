@@ -12,6 +12,32 @@ use crate::evidence::Evenness;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AnchorIdx(pub u32);
 
+/// Whose map it is: the maps of one owner share the errors of its georeference.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct OwnerIdx(pub u32);
+
+/// How a map came to its place on the Earth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Reference {
+    /// From position fixes of its own: it has a vote.
+    #[default]
+    Fixed,
+    /// From registration to other maps: it extends what they cover, and has no vote.
+    Registered,
+    /// From registration to what rests on the own map: not used.
+    Circular,
+}
+
+/// An anchor that says otherwise, and how far from the estimate, at the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contradiction {
+    pub anchor: AnchorIdx,
+    pub distance_m: f64,
+    pub turn_rad: f64,
+    /// Its scale as a factor of the estimate's.
+    pub scale: f64,
+}
+
 /// A chunk, numbered within its anchor and epoch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ChunkIdx(pub u64);
@@ -71,6 +97,9 @@ pub struct AlignmentReport {
     /// The estimate has changed by more than its uncertainty explained; also counted in
     /// `Estimate::jump_count`.
     pub jumped: bool,
+    /// Keyframes that agree with each other have replaced an alignment that was wrong; also
+    /// counted in `Estimate::overruled_count`.
+    pub overruled: bool,
 }
 
 impl AlignmentReport {
@@ -79,6 +108,7 @@ impl AlignmentReport {
             verdict: Verdict::Refused(refusal),
             anchors: Vec::new(),
             jumped: false,
+            overruled: false,
         }
     }
 }
@@ -87,6 +117,10 @@ impl AlignmentReport {
 pub struct AnchorReport {
     pub anchor: AnchorIdx,
     pub verdict: Verdict,
+    /// Keyframes that agree with each other have replaced the alignment to this anchor.
+    pub overruled: bool,
+    /// Chunks and landmarks that were looked at, again for each round of refinement.
+    pub chunk_count: usize,
     pub candidate_count: usize,
     pub match_count: usize,
     pub inlier_count: usize,
@@ -217,6 +251,9 @@ pub struct LocalizerSettings {
     /// Least and largest radius of the search around a predicted pose, on the ideal plane.
     pub predicted_radius_min: f64,
     pub predicted_radius_max: f64,
+    /// Landmarks about a predicted pose that are looked at: beyond, those of the newest chunks. So
+    /// a place that was mapped many times costs no more than one that was mapped a few times.
+    pub predicted_landmark_count_max: usize,
     /// Points known to both maps that a scale needs.
     pub depth_pair_count_min: usize,
     /// Least standard deviation of the logarithm of a depth ratio.
@@ -271,6 +308,7 @@ impl Default for LocalizerSettings {
             refine_radius: 0.012,
             predicted_radius_min: 0.03,
             predicted_radius_max: 0.25,
+            predicted_landmark_count_max: 40_000,
             depth_pair_count_min: 8,
             depth_ratio_sigma_min: 0.02,
             first_keyframe_count: 2,

@@ -129,11 +129,19 @@ impl Parts {
 
     fn summary(&self, map: &MapId, point_count: usize) -> MapSummary {
         let manifest = self.manifest.as_ref();
+        let placement = self.placement.as_ref();
+        let reference = placement.map(|placement| placement.reference);
+        let reference = reference.or(manifest.map(|manifest| manifest.reference));
+        let provenance = placement.map(|placement| &placement.provenance);
+        let provenance = provenance.or(manifest.map(|manifest| &manifest.provenance));
+        let names = provenance.into_iter().flatten();
         MapSummary {
             anchor: map.anchor.to_string(),
             epoch: map.epoch.to_string(),
             revision: manifest.map(|manifest| manifest.revision),
             datum: manifest.map(|manifest| manifest.datum.to_string()),
+            reference: reference.map(|reference| reference.to_string()),
+            provenance: names.map(ToString::to_string).collect(),
             // A holder may have chunks that are newer than the newest manifest.
             chunk_count: manifest.map(|manifest| {
                 let mut chunks = manifest.chunks.clone();
@@ -151,5 +159,40 @@ impl Parts {
             received_count: self.chunks.len(),
             point_count,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use protocol::{Reference, encode};
+
+    use super::*;
+    use crate::test_support::{manifest, map, vehicle};
+
+    #[test]
+    fn a_registered_map_is_listed_as_what_it_is() {
+        let mut registered = manifest(map(), 1);
+        registered.map.anchor = vehicle("drone1");
+        registered.reference = Reference::Registered;
+        registered.provenance = vec![vehicle("ugv1")];
+        let mut collection = Collection::default();
+        for manifest in [manifest(map(), 1), registered] {
+            collection.take(&Reply {
+                key: Key::Manifest(manifest.map.anchor.clone()).to_string(),
+                payload: Arc::from(encode(&manifest)),
+            });
+        }
+        let (summaries, _) = collection.summarise();
+        let listed = summaries.iter().map(|one| {
+            let reference = one.reference.as_deref();
+            (one.anchor.as_str(), reference, one.provenance.clone())
+        });
+        let expected = [
+            ("drone1", Some("registered"), vec!["ugv1".to_owned()]),
+            ("ugv1", Some("fixed"), Vec::new()),
+        ];
+        assert_eq!(listed.collect::<Vec<_>>(), expected);
     }
 }

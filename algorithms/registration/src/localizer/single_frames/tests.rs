@@ -86,7 +86,7 @@ fn a_hovering_camera_is_located_without_a_map_of_its_own() {
 fn anchors_are_searched_one_after_the_other() {
     for (chunk_count, expected) in [(2, AnchorIdx(1)), (30, AnchorIdx(0))] {
         let first = AnchorSettings {
-            chunk_count,
+            chunks: 0..chunk_count,
             ..AnchorSettings::default()
         };
         let second = AnchorSettings {

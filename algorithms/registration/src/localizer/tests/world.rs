@@ -3,7 +3,7 @@
 //! The room is 8 m × 6 m × 3 m. Landmarks carry random descriptors of which every view changes
 //! some bits; maps have scale, depth noise and slow drift of their own.
 
-use std::ops::AddAssign;
+use std::ops::{AddAssign, Range};
 
 use features::Descriptor;
 use geometry::{Camera, Chunk, Enu, Map, Matrix7, Similarity, Tangent7, Timestamp, Transform};
@@ -101,6 +101,21 @@ impl World {
         }
     }
 
+    /// Everything near the east wall stands at the west wall again, turned by half a round.
+    pub fn repeat_east_in_the_west(&mut self) {
+        for idx in 0..self.points.len() {
+            let point = self.points[idx];
+            if point.x < -2.5 {
+                // Not to be seen from anywhere.
+                self.points[idx] = Vector3::repeat(1e3);
+            }
+            if point.x > 2.5 {
+                self.points.push(Vector3::new(-point.x, -point.y, point.z));
+                self.descriptors.push(self.descriptors[idx]);
+            }
+        }
+    }
+
     fn visible(&self, enu_from_camera: &Transform<Enu, Camera>) -> Vec<(usize, Vector3<f64>)> {
         let camera_from_enu = enu_from_camera.inverse();
         let points = self.points.iter().enumerate();
@@ -134,8 +149,10 @@ pub struct AnchorSettings {
     /// How far its map is bent (m).
     pub bend_m: f64,
     /// Error of the georeference that its covariance does not tell of.
-    pub lie: Vector3<f64>,
-    pub chunk_count: usize,
+    pub lie: Similarity<Enu, Enu>,
+    /// Of the thirty along its way, those that are published.
+    pub chunks: Range<usize>,
+    pub revision: u64,
     /// Standard deviations of the georeference, on the map's right: rotation, map unit, scale.
     pub georeference_sigma: [f64; 3],
 }
@@ -146,8 +163,9 @@ impl Default for AnchorSettings {
             idx: AnchorIdx(0),
             unit_m: 1.7,
             bend_m: 0.003,
-            lie: Vector3::zeros(),
-            chunk_count: 30,
+            lie: Similarity::identity(),
+            chunks: 0..30,
+            revision: 1,
             georeference_sigma: [0.002, 0.008, 0.003],
         }
     }
@@ -166,7 +184,7 @@ pub fn publish_anchor(
         Similarity::new(settings.unit_m, rotation, Vector3::new(1.0, -2.0, 0.4));
     let phase = normal_vector(rng, 3.0);
     let mut known = vec![false; world.points.len()];
-    for chunk_number in 0..settings.chunk_count {
+    for chunk_number in settings.chunks.clone() {
         let turn = std::f64::consts::TAU * chunk_number as f64 / 30.0;
         let position = Vector3::new(1.5 * turn.cos(), turn.sin(), -0.8);
         let enu_from_camera = look(position, Vector3::new(turn.cos(), turn.sin(), 0.1));
@@ -196,13 +214,12 @@ pub fn publish_anchor(
     }
     let sigma = settings.georeference_sigma;
     let error = tangent(rng, sigma[0], sigma[1], sigma[2]);
-    let lie = Transform::<Enu, Enu>::new(UnitQuaternion::identity(), settings.lie);
     let covariance = Matrix7::from_diagonal(&Tangent7::from_fn(|row, _| sigma[row / 3].powi(2)));
     localizer.place_anchor(
         settings.idx,
-        lie * enu_from_map.perturbed(&error),
+        settings.lie * enu_from_map.perturbed(&error),
         covariance,
-        1,
+        settings.revision,
     );
 }
 
