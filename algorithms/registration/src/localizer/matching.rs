@@ -385,7 +385,7 @@ pub(super) fn coverage(
 /// What a camera at a predicted pose would see.
 pub(super) struct View {
     camera_from_anchor: Transform<Camera, AnchorMap>,
-    position: Vector3<f64>,
+    pub position: Vector3<f64>,
     lowest: Vector2<f64>,
     highest: Vector2<f64>,
     /// Largest angle between the optical axis and a feature, as a tangent.

@@ -42,7 +42,7 @@ pub(super) fn ask(
 ) -> Vec<Witness> {
     let view = View::new(features, camera_from_anchor, 0.0);
     let mut witnesses = Vec::new();
-    for (chunk, stored) in anchor.placed_chunks() {
+    for (chunk, stored) in anchor.chunks_near(&view.position, usize::MAX) {
         let (centre, radius) = stored.bounds();
         if !view.may_see(&centre, radius) {
             continue;
