@@ -57,6 +57,8 @@ pub struct Localizer {
     settings: LocalizerSettings,
     anchors: BTreeMap<AnchorIdx, Anchor>,
     fused: Option<Fused>,
+    /// The anchors that an estimate in an own map that was left had contradicted.
+    distrusted: BTreeSet<AnchorIdx>,
     single_frames: SingleFrames,
     /// The newest own keyframe.
     newest: Option<(KeyframeIdx, Transform<Map, Camera>)>,
@@ -83,6 +85,7 @@ impl Localizer {
             settings,
             anchors: BTreeMap::new(),
             fused: None,
+            distrusted: BTreeSet::new(),
             single_frames: SingleFrames::default(),
             newest: None,
             early: VecDeque::new(),
@@ -128,8 +131,9 @@ impl Localizer {
         features: &FeatureIndex,
     ) -> Vec<AnchorReport> {
         let mut reports: Vec<AnchorReport> = Vec::new();
-        let mut search_count = 0;
         for reference in [Reference::Fixed, Reference::Registered] {
+            // Each kind has its own, so that maps out of sight do not starve the other kind.
+            let mut search_count = 0;
             if reports.iter().any(|one| one.verdict == Verdict::Accepted) {
                 break;
             }
@@ -266,7 +270,9 @@ impl Localizer {
             anchor.track = Track::default();
             anchor.retries.clear();
         }
-        self.fused = None;
+        if let Some(fused) = self.fused.take() {
+            self.distrusted = fused.left_out.iter().map(|one| one.anchor).collect();
+        }
         self.newest = None;
         self.early.clear();
         self.missed.clear();
@@ -361,8 +367,11 @@ impl Localizer {
         let before = self.fused.take();
         let trusted = before
             .as_ref()
-            .map_or(&[][..], |before| &before.anchors[..]);
+            .map_or(&[][..], |before| &before.trusted[..]);
         self.fused = fuse(&votes, trusted, &map_from_camera, &self.settings);
+        if self.fused.is_some() {
+            self.distrusted.clear();
+        }
         let jumped = match (&before, &self.fused) {
             (Some(before), Some(after)) => has_jumped(before, after, &self.settings),
             _ => false,

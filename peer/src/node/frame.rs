@@ -108,7 +108,8 @@ impl Node {
                 // Mapping may have joined the map to another.
                 role.enter_map(mapped.map_id, map, &mut outlet);
                 role.follow_map((&report, &mapped), map);
-                role.share_map((&report, &mapped), map, is_global, &mut outlet);
+                let by_map = is_global && !role.handover.rests_on_frames();
+                role.share_map((&report, &mapped), map, by_map, &mut outlet);
             }
             Role::Anchor(role) => {
                 role.enter_map(mapped.map_id, map, &mut outlet);

@@ -315,10 +315,16 @@ impl PeerRole {
         let known = self.bases.entry(map.clone()).or_default();
         if !reference.is_fixed() {
             known.reference = reference;
-            known.provenance.extend(provenance.iter().cloned());
+            // One more than can be named suffices to know that they cannot.
+            let room = (PROVENANCE_COUNT_MAX + 1).saturating_sub(known.provenance.len());
+            let names = provenance
+                .iter()
+                .filter(|name| !known.provenance.contains(*name));
+            let named: Vec<VehicleId> = names.take(room).cloned().collect();
+            known.provenance.extend(named);
         }
+        let known = &self.bases[map];
         let is_circular = known.provenance.len() > PROVENANCE_COUNT_MAX;
-        let known = known.clone();
         let reference = match self.reference_of(map, (known.reference, &known.provenance)) {
             // What cannot be named in full might name this vehicle.
             _ if is_circular => Reference::Circular,
@@ -348,10 +354,9 @@ impl PeerRole {
         }
     }
 
-    /// Everybody whose evidence an estimate rests on, directly or through others.
-    pub(super) fn provenance_of(&self, estimate: &Estimate) -> BTreeSet<VehicleId> {
-        let anchors = self.anchors.iter();
-        let used = anchors.filter(|(_, idx)| estimate.anchors.contains(idx));
+    /// Everybody whose evidence these maps bring, directly or through others.
+    pub(super) fn provenance_of(&self, anchors: &[AnchorIdx]) -> BTreeSet<VehicleId> {
+        let used = self.anchors.iter().filter(|(_, idx)| anchors.contains(idx));
         let mut named = BTreeSet::new();
         for (map, _) in used {
             named.insert(map.anchor.clone());

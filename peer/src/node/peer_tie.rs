@@ -44,7 +44,9 @@ impl PeerRole {
         let good = good.is_some_and(|(pose, estimate)| {
             pose.sigma_m() <= limits.global_sigma_m && estimate.age_s <= limits.stale_after_s
         });
-        let wanted = !good || !self.handover.is_over();
+        // Frames find themselves in one anchor's map and know nothing of a conflict with others.
+        let in_conflict = estimate.as_ref().is_some_and(|estimate| estimate.conflict);
+        let wanted = !in_conflict && (!good || !self.handover.is_over());
         let located = single_frame
             .filter(|_| wanted)
             .and_then(|frame| self.locate(&frame));

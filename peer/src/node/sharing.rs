@@ -68,14 +68,14 @@ impl PeerRole {
         &mut self,
         (report, mapped): (&FrameReport, &MappingReport),
         map: &VslamMap,
-        is_global: bool,
+        is_placed: bool,
         outlet: &mut Outlet<'_>,
     ) {
         if self.sharing.map_revision != mapped.map_revision {
             self.sharing.map_revision = mapped.map_revision;
             self.sharing.moved = true;
         }
-        if !is_global {
+        if !is_placed {
             self.sharing.shared.take_registration(None, map, outlet);
         } else if mapped.new_keyframe.is_some() {
             let registration = self.registration(map, outlet.now);
@@ -90,7 +90,10 @@ impl PeerRole {
         let estimate = self.estimate(now)?;
         let datum = self.datum()?.clone();
         let fix_sigma_m = self.fix_sigma_m()?;
-        let named = self.provenance_of(&estimate);
+        // Places in hindsight may rest on more than the estimate of now.
+        let mut anchors = self.localizer().aligned_anchors();
+        anchors.extend(&estimate.anchors);
+        let named = self.provenance_of(&anchors);
         self.sharing.provenance.extend(named);
         let mut keyframes = BTreeMap::new();
         if std::mem::take(&mut self.sharing.moved) {

@@ -19,10 +19,15 @@ pub(super) struct ChunkGrid {
     sizes: BTreeMap<i32, usize>,
 }
 
+/// Places beyond so many cells from the middle are in the outermost one.
+const CELL_MAX: f64 = 1e15;
+
 fn cell(centre: &Vector3<f64>, reach: f64) -> Cell {
-    // Lengths and places were checked at the door, so the quotients fit.
     let size = reach.max(f64::MIN_POSITIVE).log2().ceil() as i32;
-    let along = |axis: usize| (centre[axis] / f64::from(size).exp2()).floor() as i64;
+    let along = |axis: usize| {
+        let cells = centre[axis] / f64::from(size).exp2();
+        cells.floor().clamp(-CELL_MAX, CELL_MAX) as i64
+    };
     (size, [along(0), along(1), along(2)])
 }
 
@@ -102,6 +107,18 @@ mod tests {
         }
         assert_eq!(counts, [counts[0]; 3]);
         assert!(counts[0] < 32, "{counts:?}");
+    }
+
+    /// Goal: a map that is absurdly small, or a camera absurdly far from it, costs nobody anything.
+    #[test]
+    fn places_beyond_all_cells_are_looked_at_too() {
+        let mut grid = ChunkGrid::default();
+        let far = Vector3::new(-1e300, 1e25, f64::NAN);
+        grid.insert(ChunkIdx(0), &far, 1e-9);
+        assert_eq!(grid.near(&far), [ChunkIdx(0)]);
+        assert!(grid.near(&Vector3::repeat(-2.5e14)).is_empty());
+        grid.remove(ChunkIdx(0), &far, 1e-9);
+        assert!(grid.cells.is_empty());
     }
 
     #[test]

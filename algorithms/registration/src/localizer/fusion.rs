@@ -114,6 +114,8 @@ pub(super) struct Fused {
     pub covariance_of_votes: Matrix7,
     pub map_from_camera: Transform<Map, Camera>,
     pub anchors: Vec<AnchorIdx>,
+    /// The anchors that agree; with a registered map before its turn, those with fixes.
+    pub trusted: Vec<AnchorIdx>,
     pub reference: Reference,
     pub left_out: Vec<Contradiction>,
     pub conflict: bool,
@@ -121,7 +123,7 @@ pub(super) struct Fused {
 
 /// Weighs the votes of the largest group of anchors that agree.
 ///
-/// `trusted`: the anchors that the last estimate rested on; they win a draw, but a draw is a
+/// `trusted`: the anchors that agreed the last time; they win a draw, but a draw is a
 /// conflict and the covariance then covers both sides.
 pub(super) fn fuse(
     votes: &[Vote],
@@ -275,6 +277,7 @@ impl Ballot<'_> {
             covariance_of_votes,
             map_from_camera: *map_from_camera,
             anchors: used.iter().map(|vote| vote.anchor).collect(),
+            trusted: self.group.iter().map(|vote| vote.anchor).collect(),
             reference: used.first().map_or(Reference::Fixed, |vote| vote.reference),
             left_out: outside
                 .map(|vote| vote.contradiction(&enu_from_camera))

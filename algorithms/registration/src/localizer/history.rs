@@ -86,10 +86,24 @@ impl Localizer {
     pub(super) fn believed_anchors(&self) -> Vec<AnchorIdx> {
         let fused = self.fused.as_ref();
         let left_out = fused.map_or(&[][..], |fused| &fused.left_out[..]);
-        let is_left_out = |idx: &AnchorIdx| left_out.iter().any(|one| one.anchor == *idx);
+        let is_left_out = |idx: &AnchorIdx| {
+            self.distrusted.contains(idx) || left_out.iter().any(|one| one.anchor == *idx)
+        };
         let usable = self.anchors.iter().filter(|(_, anchor)| anchor.is_usable());
         let believed = usable.map(|(idx, _)| *idx);
         believed.filter(|idx| !is_left_out(idx)).collect()
+    }
+
+    /// Anchors that some place of the own map, now or in hindsight, may rest on.
+    pub fn aligned_anchors(&self) -> Vec<AnchorIdx> {
+        let is_aligned = |idx: &AnchorIdx| {
+            let anchor = self.anchors.get(idx);
+            anchor.is_some_and(|anchor| anchor.track.newest().is_some())
+        };
+        self.believed_anchors()
+            .into_iter()
+            .filter(is_aligned)
+            .collect()
     }
 
     pub(super) fn remember_early(&mut self, keyframe: &KeyframeObservation) {

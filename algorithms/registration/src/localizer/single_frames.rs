@@ -263,7 +263,10 @@ impl Localizer {
 
     /// Where the cameras of single frames were, by what is known now of their anchors.
     pub fn located_frames(&self) -> impl Iterator<Item = (Timestamp, Transform<Enu, Camera>)> {
-        self.single_frames.past.iter().filter_map(|frame| {
+        let usable = self.believed_anchors();
+        let frames = self.single_frames.past.iter();
+        let frames = frames.filter(move |frame| usable.contains(&frame.anchor));
+        frames.filter_map(|frame| {
             let landmarks = &self.anchors.get(&frame.anchor)?.landmarks;
             let map_from_chunk = landmarks.map_from_chunk(frame.chunk)?;
             let anchor_from_camera = (*map_from_chunk * frame.chunk_from_camera).rigid_part();
@@ -423,6 +426,8 @@ impl SingleFrames {
     fn follow(&mut self, place: Place) {
         let before = self.followed.map(|followed| followed.place);
         let before = before.or(self.waiting.back().copied());
+        // Not one of another anchor's map, nor a wrong one that waited.
+        let before = before.filter(|before| place.is_reachable_from(before));
         let rate = before.map_or(Vector6::zeros(), |before| {
             let way = before.anchor_from_camera.inverse() * place.anchor_from_camera;
             way.log() / (place.captured_at - before.captured_at).max(1e-3)

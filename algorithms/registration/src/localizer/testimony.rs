@@ -42,7 +42,8 @@ pub(super) fn ask(
 ) -> Vec<Witness> {
     let view = View::new(features, camera_from_anchor, 0.0);
     let mut witnesses = Vec::new();
-    for (chunk, stored) in anchor.chunks_near(&view.position, usize::MAX) {
+    for (chunk, stored) in anchor.chunks_near(&view.position, settings.predicted_landmark_count_max)
+    {
         let (centre, radius) = stored.bounds();
         if !view.may_see(&centre, radius) {
             continue;

@@ -104,6 +104,21 @@ fn two_honest_anchors_overrule_a_lying_one_and_name_it() {
     assert!(scene.position_error().unwrap().0 < 0.1);
 }
 
+/// Goal: a vehicle that begins a new map, and until then goes by single frames, does not believe
+/// the liar again.
+#[test]
+fn who_was_overruled_stays_so_while_there_is_no_estimate() {
+    let mut scene = scene(5, 1.0);
+    scene.publish(&lying(0));
+    scene.publish(&honest(1));
+    scene.publish(&honest(2));
+    fly(&mut scene, 0..30);
+    scene.localizer.forget_map();
+    assert!(scene.estimate().is_none());
+    let believed = scene.localizer.believed_anchors();
+    assert_eq!(believed, [AnchorIdx(1), AnchorIdx(2)]);
+}
+
 /// Goal: the way from a lie to the truth is counted, though the conflict in between has made the
 /// stated uncertainty large enough to explain it.
 #[test]
@@ -221,6 +236,26 @@ fn registered_maps_alone_give_a_place_as_certain_as_the_better_of_them() {
     let stated = 0.03 * 3_f64.sqrt();
     assert!(sigmas.iter().all(|sigma| *sigma >= stated), "{sigmas:?}");
     assert!(sigmas[1] > 0.95 * sigmas[0], "{sigmas:?}");
+}
+
+#[test]
+fn maps_out_of_sight_do_not_starve_registered_ones() {
+    let mut scene = scene(6, 1.0);
+    let elsewhere = World::new(2500, &mut scene.rng);
+    for idx in 0..2 {
+        publish_anchor(
+            &elsewhere,
+            &honest(idx),
+            &mut scene.localizer,
+            &mut scene.rng,
+        );
+    }
+    scene.publish(&honest(2));
+    scene
+        .localizer
+        .set_reference(AnchorIdx(2), OwnerIdx(2), Reference::Registered);
+    fly(&mut scene, 0..10);
+    assert_eq!(scene.estimate().unwrap().anchors, [AnchorIdx(2)]);
 }
 
 #[test]
