@@ -1,4 +1,4 @@
-//! From single frames to the own map and back, without a step.
+//! From single frames to the own map without a step, and back at once where that is lost.
 
 use geometry::{Camera, Enu, Timestamp, Transform, so3};
 use nalgebra::{Matrix6, Vector6};

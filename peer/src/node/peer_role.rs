@@ -366,15 +366,19 @@ impl PeerRole {
         named
     }
 
-    /// Whom the registered maps of an estimate rest on, by name.
-    pub fn sources_of(&self, estimate: &Estimate) -> String {
-        let anchors = self.anchors.iter();
-        let used = anchors.filter(|(_, idx)| estimate.anchors.contains(idx));
+    /// Whose maps these are, and if they are registered, whom they rest on.
+    pub fn names_with_sources(&self, anchors: &[AnchorIdx]) -> String {
+        let names = self.names(anchors.iter().copied());
+        let used = self.anchors.iter().filter(|(_, idx)| anchors.contains(idx));
         let bases = used.filter_map(|(map, _)| self.bases.get(map));
         let sources: BTreeSet<&str> = bases
             .flat_map(|basis| basis.provenance.iter().map(VehicleId::as_str))
             .collect();
-        sources.into_iter().collect::<Vec<_>>().join(", ")
+        if sources.is_empty() {
+            return names;
+        }
+        let sources = sources.into_iter().collect::<Vec<_>>().join(", ");
+        format!("{names}, itself registered ({sources})")
     }
 
     /// Why there is no estimate.

@@ -2,7 +2,7 @@
 //! or by both.
 
 use geometry::Timestamp;
-use registration::localizer::{Reference, Verdict};
+use registration::localizer::Verdict;
 use registration::{Estimate, FrameLocation, FrameObservation, NearPose, ObservedFeature};
 use vslam::{ExtractedFrame, FrameReport};
 
@@ -98,7 +98,7 @@ impl PeerRole {
             objection: None,
             basis: format!(
                 "single frames located among the chunks of {}",
-                self.names([located.anchor])
+                self.names_with_sources(&[located.anchor])
             ),
         })
     }
@@ -109,13 +109,7 @@ impl PeerRole {
         let objection = estimate
             .conflict
             .then(|| format!("conflict: {names} and {left_out} contradict each other"));
-        let names = match estimate.reference {
-            Reference::Fixed => names,
-            Reference::Registered | Reference::Circular => {
-                let sources = self.sources_of(estimate);
-                format!("{names}, itself registered ({sources})")
-            }
-        };
+        let names = self.names_with_sources(&estimate.anchors);
         let basis = if left_out.is_empty() {
             format!("registered to {names}")
         } else {
