@@ -201,8 +201,10 @@ impl Attempt<'_> {
         if inlier_share < settings.inlier_share_min {
             return Err(Refusal::NoConsensus);
         }
+        // Single frames are believed only when several agree and show what should be in view.
+        let is_keyframe = self.map_from_camera.is_some();
         if self.occupied_cell_count(&matches) < settings.occupied_cell_count_min
-            || self.breadth(&matches) < settings.inlier_breadth_min
+            || (is_keyframe && self.breadth(&matches) < settings.inlier_breadth_min)
         {
             return Err(Refusal::InliersClustered);
         }

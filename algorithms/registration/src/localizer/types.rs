@@ -240,9 +240,9 @@ pub struct LocalizerSettings {
     pub rival_share_max: f64,
     /// Cells of a 4×4 grid over the image that must hold inliers.
     pub occupied_cell_count_min: usize,
-    /// Standard deviation of the inliers across the image, in its widths and heights, in the
-    /// direction in which they lie narrowest. A strip at the border tells the pose badly, and
-    /// states that it does not: evenly filled, a strip of 0.28 widths has 0.08.
+    /// Of a keyframe: standard deviation of the inliers across the image, in its widths and
+    /// heights, in the direction in which they lie narrowest. A strip at the border tells the pose
+    /// badly, and states that it does not: evenly filled, a strip of 0.28 widths has 0.08.
     pub inlier_breadth_min: f64,
     /// Landmark error assumed before a pose is known, on the ideal plane.
     pub search_slack: f64,
