@@ -41,6 +41,7 @@ use peer_role::PeerRole;
 use places::Places;
 use shelf::Shelf;
 
+pub use peer_role::observe;
 pub use status::Status;
 
 /// What the node may be told.

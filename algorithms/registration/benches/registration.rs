@@ -222,6 +222,18 @@ fn localizer_scene() -> (Vec<Vec<Landmark>>, KeyframeObservation) {
     )
 }
 
+/// Shows a keyframe until there is an estimate.
+fn begin_to_follow(localizer: &mut Localizer, keyframe: &KeyframeObservation) {
+    for id in 0..3 {
+        let mut keyframe = keyframe.clone();
+        keyframe.id = KeyframeIdx(id);
+        let ahead = Vector3::new(0.0, 0.0, 1e-6 * id as f64);
+        keyframe.map_from_camera = Transform::new(UnitQuaternion::identity(), ahead);
+        localizer.observe_keyframe(&keyframe);
+    }
+    assert!(localizer.estimate(Timestamp::from_nanoseconds(0)).is_some());
+}
+
 fn localization(criterion: &mut Criterion) {
     let (chunks, keyframe) = localizer_scene();
     let anchor = AnchorIdx(0);
@@ -244,14 +256,7 @@ fn localization(criterion: &mut Criterion) {
         bencher.iter_batched(fresh, observe, BatchSize::LargeInput);
     });
     let mut localizer = fresh();
-    for id in 0..3 {
-        let mut keyframe = keyframe.clone();
-        keyframe.id = KeyframeIdx(id);
-        let ahead = Vector3::new(0.0, 0.0, 1e-6 * id as f64);
-        keyframe.map_from_camera = Transform::new(UnitQuaternion::identity(), ahead);
-        localizer.observe_keyframe(&keyframe);
-    }
-    assert!(localizer.estimate(Timestamp::from_nanoseconds(0)).is_some());
+    begin_to_follow(&mut localizer, &keyframe);
     criterion.bench_function("localize/predicted/800_in_20k", |bencher| {
         bencher.iter(|| black_box(localizer.observe_keyframe(&keyframe)));
     });
@@ -280,14 +285,7 @@ fn localization_in_large_maps(criterion: &mut Criterion) {
         }
         let covariance = Matrix7::identity() * 1e-6;
         localizer.place_anchor(anchor, Similarity::identity(), covariance, 1);
-        for id in 0..3 {
-            let mut keyframe = keyframe.clone();
-            keyframe.id = KeyframeIdx(id);
-            let ahead = Vector3::new(0.0, 0.0, 1e-6 * id as f64);
-            keyframe.map_from_camera = Transform::new(UnitQuaternion::identity(), ahead);
-            localizer.observe_keyframe(&keyframe);
-        }
-        assert!(localizer.estimate(Timestamp::from_nanoseconds(0)).is_some());
+        begin_to_follow(&mut localizer, &keyframe);
         let name = format!("localize/predicted_with_chunks_elsewhere/{elsewhere_count}");
         criterion.bench_function(&name, |bencher| {
             bencher.iter(|| black_box(localizer.observe_keyframe(&keyframe)));

@@ -441,7 +441,8 @@ pub(super) fn keyframe_idx(id: KeyframeId) -> KeyframeIdx {
     KeyframeIdx(u64::from(id.0))
 }
 
-fn observe(keyframe: &Keyframe, map: &VslamMap) -> KeyframeObservation {
+/// What registration is told of a keyframe.
+pub fn observe(keyframe: &Keyframe, map: &VslamMap) -> KeyframeObservation {
     let features = keyframe.observations().iter().map(|observation| {
         let point = observation.point.and_then(|id| map.point(id));
         let point = point.filter(|point| point.has_range());

@@ -7,9 +7,8 @@ use camera::CameraModel;
 use geometry::{Camera, Chunk, Enu, Map, Similarity, Transform, umeyama};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use peer::files::{read_slam_map, write_slam_map};
-use registration::{
-    Cloud, Descriptors, KeyframeIdx, KeyframeObservation, Landmark, ObservedFeature, ObservedPoint,
-};
+use peer::node::observe;
+use registration::{Cloud, Descriptors, KeyframeObservation, Landmark};
 use sim::{Scene, Surroundings, Visit};
 use vslam::{Keyframe, MapPoint, Vslam, VslamMap, VslamSettings};
 
@@ -110,29 +109,6 @@ fn build(visit: &Visit, scene: &Arc<Scene>) -> Option<VslamMap> {
     vslam.finish();
     let map = vslam.largest_map();
     (map.keyframe_count() >= KEYFRAME_COUNT_MIN).then(|| map.clone())
-}
-
-/// What the peer's process makes of a keyframe.
-fn observe(keyframe: &Keyframe, map: &VslamMap) -> KeyframeObservation {
-    let features = keyframe.observations().iter().map(|observation| {
-        let point = observation.point.and_then(|id| map.point(id));
-        let point = point.filter(|point| point.has_range());
-        ObservedFeature {
-            position: observation.position,
-            sigma: observation.sigma,
-            descriptor: observation.descriptor,
-            point: point.map(|point| ObservedPoint {
-                point_in_map: *point.position_in_map(),
-                covariance_in_map: *point.covariance_in_map(),
-            }),
-        }
-    });
-    KeyframeObservation {
-        id: KeyframeIdx(u64::from(keyframe.id().0)),
-        captured_at: keyframe.captured_at(),
-        map_from_camera: keyframe.map_from_camera(),
-        features: features.collect(),
-    }
 }
 
 /// The chunks that an anchor would cut from the map.
