@@ -6,11 +6,14 @@ mod cull_points;
 mod directions;
 mod fuse;
 mod grow;
+mod settling;
 
 use geometry::{Camera, Map, Transform};
 
 pub(crate) use adjust::{Selection, adjust_all, adjust_local, renew_point, stretches};
 pub(crate) use fuse::fuse;
+
+use settling::Settling;
 
 use crate::bundle::Workspace;
 use crate::frame::Frame;
@@ -31,6 +34,7 @@ pub(crate) struct Mapper {
     recent: Vec<PointId>,
     /// Keyframes that were not yet reported as settled, oldest first.
     unsettled: Vec<KeyframeId>,
+    settling: Settling,
     workspace: Workspace,
 }
 
@@ -46,6 +50,7 @@ impl Mapper {
     pub(crate) fn take_over(&mut self, map: &VslamMap) {
         self.recent.clear();
         self.unsettled = map.keyframes().map(crate::Keyframe::id).collect();
+        self.settling = Settling::default();
     }
 
     /// Goes on with a map that was left. Those of its keyframes that were not yet reported as
@@ -53,6 +58,12 @@ impl Mapper {
     pub(crate) fn resume(&mut self) {
         self.recent.clear();
         self.unsettled.clear();
+        self.settling = Settling::default();
+    }
+
+    /// What the last adjustments say of the map around the camera.
+    pub(crate) fn settling(&self) -> &Settling {
+        &self.settling
     }
 
     /// Makes a keyframe of a tracked frame and brings the map around it up to date.
@@ -77,6 +88,7 @@ impl Mapper {
         self.recent.extend(directions);
         update_neighbours(map, id);
         let window = adjust::adjust_local(map, id, &mut self.workspace);
+        self.settling.note(map, id, &camera_from_map);
         directions::settle_directions(map, &window);
         cull_keyframes::cull(map, id);
         self.unsettled.push(id);

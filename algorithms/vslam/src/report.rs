@@ -91,6 +91,9 @@ pub enum LostReason {
     /// Too little is in view of which the map knows the distance, as in a turn: how the camera
     /// turns is still followed, for about a second.
     OnlyDirections,
+    /// The last correction moved the map around the camera by far: until the next ones confirm it,
+    /// a pose that agrees with everything in view may be wrong.
+    MapUnsettled,
     /// The place is not recognised.
     UnknownPlace,
     /// The image is not fit to be looked at.
@@ -169,6 +172,7 @@ impl fmt::Display for LostReason {
             Self::FewKeypoints => "too few corners in the image",
             Self::FewInliers => "too little of the image agrees with the map",
             Self::OnlyDirections => "too little in sight has a known distance",
+            Self::MapUnsettled => "the map was just corrected by far",
             Self::UnknownPlace => "this place is not in the map",
             Self::Image(fault) => return fault.fmt(f),
             Self::AgainstGyroscope => "the gyroscope says that the camera looks elsewhere",

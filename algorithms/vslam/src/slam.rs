@@ -170,6 +170,7 @@ impl Vslam {
         self.ups.begin_frame(self.inertia.up_in_camera());
         frame.frame_idx = self.trajectory.len() as u64;
         let keypoint_count = frame.observations.len();
+        self.give_up_hopeless();
         let mut outcome = match self.mode {
             Mode::Starting(_) => self.start(frame, last_at),
             Mode::Recalling { since } => self.recall(frame, since),

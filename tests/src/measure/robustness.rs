@@ -169,4 +169,13 @@ mod tests {
         assert!(trial.fault().is_none(), "{trial:?}");
         assert!(trial.live_count > 60, "{trial:?}");
     }
+
+    /// After 5 s of changed exposure a map begins in images that show a fifth of the usual, and
+    /// each keyframe bends it.
+    #[test]
+    fn a_map_that_does_not_come_to_rest_gives_no_poses() {
+        let trial = run(&draw(1, 176));
+        assert!(trial.fault().is_none(), "{trial:?}");
+        assert!(trial.live_count > 50, "{trial:?}");
+    }
 }

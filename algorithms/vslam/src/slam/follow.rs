@@ -89,9 +89,16 @@ impl Vslam {
     }
 
     /// Takes a pose that was found; what it means for the map waits until the pose is out.
-    pub(super) fn accept(&mut self, frame: Frame, tracked: Tracked) -> Outcome {
+    pub(super) fn accept(&mut self, frame: Frame, mut tracked: Tracked) -> Outcome {
         let rank = self.map.rank();
         let largest = self.earlier.iter().map(VslamMap::rank).max();
+        let in_doubt = self.mapper.settling().is_in_doubt();
+        let reason = if tracked.is_placed {
+            LostReason::MapUnsettled
+        } else {
+            LostReason::OnlyDirections
+        };
+        tracked.is_placed &= !in_doubt;
         let placed = tracked.is_placed;
         if !placed || largest.is_some_and(|largest| largest > rank) {
             // The map may never be joined to the largest; the frame may still be found there. And
@@ -100,9 +107,7 @@ impl Vslam {
         }
         self.unmapped = Some(Unmapped::Tracked(Box::new((frame, tracked.clone()))));
         if !placed {
-            return Outcome::without_pose(TrackingState::Lost {
-                reason: LostReason::OnlyDirections,
-            });
+            return Outcome::without_pose(TrackingState::Lost { reason });
         }
         Outcome {
             state: TrackingState::Tracking,
@@ -125,6 +130,15 @@ impl Vslam {
             self.restart();
         }
         Outcome::without_pose(TrackingState::Lost { reason })
+    }
+
+    /// Gives up a map that had a wrong start, and does not keep it.
+    pub(super) fn give_up_hopeless(&mut self) {
+        let following = matches!(self.mode, Mode::Following { .. });
+        if following && self.mapper.settling().is_hopeless() {
+            self.begin_anew();
+            self.hand_on_backfill();
+        }
     }
 
     /// Begins a new map; the old one is kept unless it is small.
@@ -151,14 +165,19 @@ impl Vslam {
         };
     }
 
-    /// Keeps a map that was left, so that the camera may come back to it; of too many the smallest
-    /// is dropped.
-    pub(super) fn leave(&mut self, left: VslamMap) {
+    /// Frames from before the map that was left may be found in another.
+    fn hand_on_backfill(&mut self) {
         self.seen_earlier_count = 0;
         for frame in self.backfill.take_frames() {
             self.waiting.remember(&frame);
         }
         self.backfill = Backfill::default();
+    }
+
+    /// Keeps a map that was left, so that the camera may come back to it; of too many the smallest
+    /// is dropped.
+    pub(super) fn leave(&mut self, left: VslamMap) {
+        self.hand_on_backfill();
         if left.rank() < (false, SMALL_MAP_KEYFRAMES) {
             return;
         }
