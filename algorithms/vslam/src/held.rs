@@ -1,7 +1,11 @@
 //! How much of an image the map holds.
 
+mod place_sigma;
+
 use geometry::{Camera, Map, Transform};
-use nalgebra::{Matrix3, Matrix6, RowVector6};
+use nalgebra::{Matrix3, Matrix6, RowVector6, Vector2};
+
+pub(crate) use place_sigma::place_sigma;
 
 use crate::optics::Optics;
 use crate::{Keyframe, MapPoint, Observation, VslamMap};
@@ -44,26 +48,8 @@ pub(crate) fn are_placing(
         }
         depths.push(in_camera.z);
         let inverse_depth = 1.0 / in_camera.z;
-        let (x, y) = (in_camera.x * inverse_depth, in_camera.y * inverse_depth);
-        // By a turn of the camera and by a step of it.
-        let rows = [
-            RowVector6::new(
-                -x * y,
-                1.0 + x * x,
-                -y,
-                inverse_depth,
-                0.0,
-                -x * inverse_depth,
-            ),
-            RowVector6::new(
-                -1.0 - y * y,
-                x * y,
-                x,
-                0.0,
-                inverse_depth,
-                -y * inverse_depth,
-            ),
-        ];
+        let position = in_camera.xy() * inverse_depth;
+        let rows = d_position_d_pose(&position, inverse_depth);
         for row in rows {
             information += row.transpose() * row / (observation.sigma * observation.sigma);
         }
@@ -78,6 +64,30 @@ pub(crate) fn are_placing(
     };
     let of_place: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
     of_place.symmetric_eigenvalues().max().sqrt() <= PLACE_SIGMA_MAX * depth
+}
+
+/// The rows of the derivative of where a point is shown, by a turn of the camera and by a step of
+/// it.
+fn d_position_d_pose(position: &Vector2<f64>, inverse_depth: f64) -> [RowVector6<f64>; 2] {
+    let (x, y) = (position.x, position.y);
+    [
+        RowVector6::new(
+            -x * y,
+            1.0 + x * x,
+            -y,
+            inverse_depth,
+            0.0,
+            -x * inverse_depth,
+        ),
+        RowVector6::new(
+            -1.0 - y * y,
+            x * y,
+            x,
+            0.0,
+            inverse_depth,
+            -y * inverse_depth,
+        ),
+    ]
 }
 
 /// By how many standard deviations the points of known range miss these observations, in the

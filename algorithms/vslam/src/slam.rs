@@ -9,6 +9,7 @@ mod prior;
 mod recall;
 mod revisit;
 mod state;
+mod sureness;
 #[cfg(test)]
 mod tests;
 mod waiting;
@@ -254,6 +255,7 @@ impl Vslam {
             covariance: None,
             inlier_count,
             ranged_count: inlier_count,
+            expected_count: inlier_count,
             is_placed: true,
             doubtful_misfit: None,
             reference: keyframe,

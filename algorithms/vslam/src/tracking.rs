@@ -52,6 +52,8 @@ pub(crate) struct Tracked {
     pub(crate) inlier_count: usize,
     /// Those of which the map knows the range: they tell where it is.
     pub(crate) ranged_count: usize,
+    /// Points of known range that the frame should show.
+    pub(crate) expected_count: usize,
     /// Whether they tell it well.
     pub(crate) is_placed: bool,
     /// By how much the points miss the keypoints, if the frame misses most of what it should show.
@@ -215,6 +217,7 @@ pub(crate) fn track_local_map(
         covariance: Some(fit.covariance),
         inlier_count: fit.inlier_count,
         ranged_count: seen_count,
+        expected_count,
         is_placed: are_placing(map, &fit.camera_from_map, &frame.observations),
         doubtful_misfit: doubtful
             .then(|| misfit(map, &fit.camera_from_map, &frame.observations))
@@ -234,6 +237,7 @@ mod tests {
             covariance: None,
             inlier_count: 300,
             ranged_count,
+            expected_count: 300,
             is_placed,
             doubtful_misfit: None,
             reference: KeyframeId(0),

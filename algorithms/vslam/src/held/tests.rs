@@ -10,6 +10,14 @@ use crate::{KeyframeId, MapId, PointId, View};
 
 /// A keyframe at the origin that sees a point of known range at each of these places.
 fn map_of(points: &[Vector3<f64>]) -> (VslamMap, KeyframeId) {
+    uncertain_map_of(points, |_| Matrix3::identity())
+}
+
+/// The same, each point with this covariance.
+fn uncertain_map_of(
+    points: &[Vector3<f64>],
+    covariance: impl Fn(&Vector3<f64>) -> Matrix3<f64>,
+) -> (VslamMap, KeyframeId) {
     let observation = |point: &Vector3<f64>| Observation {
         position: point.xy() / point.z,
         position_px: Vector2::zeros(),
@@ -30,7 +38,7 @@ fn map_of(points: &[Vector3<f64>]) -> (VslamMap, KeyframeId) {
     for (observation_idx, point) in (0..).zip(points) {
         let new = NewPoint {
             position_in_map: *point,
-            covariance_in_map: Matrix3::identity(),
+            covariance_in_map: covariance(point),
             parallax_rad: 0.1,
             expected_range: None,
         };
@@ -91,4 +99,42 @@ fn the_misfit_counts_standard_deviations_in_the_median() {
         |observations: &[Observation]| misfit(&map, &Transform::identity(), observations);
     assert!((misfit_of(&observations).unwrap() - 0.7).abs() < 1e-9);
     assert_eq!(misfit_of(&[]), None);
+}
+
+/// How uncertain a camera's place is that stands so far to the right of the keyframe, if points are
+/// uncertain by this share of their range.
+fn sigma_beside(step: f64, range_share: f64) -> f64 {
+    let error = |point: &Vector3<f64>| point * point.transpose() * range_share.powi(2);
+    let (map, id) = uncertain_map_of(&points(40, 0.5, 1.0), error);
+    let camera_from_map = Transform::new(Default::default(), Vector3::x() * -step);
+    let mut observations = map.keyframe(id).unwrap().observations.clone();
+    for observation in &mut observations {
+        let point = map.point(observation.point.unwrap()).unwrap();
+        let in_camera = point.position_in_map - Vector3::x() * step;
+        observation.position = in_camera.xy() / in_camera.z;
+    }
+    place_sigma(&map, &camera_from_map, &observations).unwrap()
+}
+
+#[test]
+fn points_that_are_all_too_far_move_a_camera_that_stands_elsewhere() {
+    // What is a tenth too far as seen from the keyframe is a larger copy: a camera 0.9 beside it
+    // stands 0.09 too far from it, however many points say so. Beside that, what the points are
+    // wrong by each for itself counts a little.
+    let exact = sigma_beside(0.9, 0.0);
+    assert!(exact < 0.01, "{exact}");
+    let beside = sigma_beside(0.9, 0.1);
+    assert!((0.09..0.12).contains(&beside), "{beside}");
+    // Where the keyframe was the points lie in the same directions at any range.
+    let there = sigma_beside(0.0, 0.1);
+    assert!(
+        (there / sigma_beside(0.0, 0.0) - 1.0).abs() < 1e-6,
+        "{there}"
+    );
+}
+
+#[test]
+fn no_points_tell_no_place() {
+    let (map, _) = map_of(&points(16, 0.5, 1.0));
+    assert_eq!(place_sigma(&map, &Transform::identity(), &[]), None);
 }

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use rand_chacha::ChaCha8Rng;
 
+use super::sureness::is_sure;
 use crate::VslamMap;
 use crate::frame::Frame;
 use crate::optics::Optics;
@@ -19,6 +20,14 @@ pub(super) struct Backfill {
     frames: VecDeque<Frame>,
     /// The last frame that was found; the next one to find came just before it.
     later: Option<TrackedFrame>,
+}
+
+/// A frame without a place.
+#[derive(Debug)]
+pub(super) enum Missed {
+    Lost(Frame),
+    /// It leads to the one before it all the same.
+    Unsure(Frame),
 }
 
 impl Backfill {
@@ -40,56 +49,66 @@ impl Backfill {
         self.frames.is_empty()
     }
 
+    /// When the frame was captured from which the next is looked for.
+    #[cfg(test)]
+    pub(super) fn leads_from(&self) -> Option<geometry::Timestamp> {
+        Some(self.later.as_ref()?.captured_at)
+    }
+
     /// Gives up the frames that were not found, oldest first.
     pub(super) fn take_frames(&mut self) -> VecDeque<Frame> {
         std::mem::take(&mut self.frames)
     }
 
     /// Looks for the newest of the frames, going backward from the start of the map; returns it if
-    /// it is not found.
+    /// it then has no place.
     pub(super) fn step(
         &mut self,
         (optics, map): (&Optics, &mut VslamMap),
         trajectory: &mut [FrameRecord],
         rng: &mut ChaCha8Rng,
-    ) -> Option<Frame> {
+    ) -> Option<Missed> {
         let (mut frame, later) = (self.frames.pop_back()?, self.later.as_ref()?);
-        let Some(found) = find(optics, map, later, &mut frame, rng) else {
-            return Some(frame);
+        let (place, sure) = match find_keyframe(map, &frame) {
+            Some(keyframe) => {
+                let place = keyframe.place;
+                self.later = Some(keyframe);
+                (place, true)
+            }
+            None => {
+                let motion = Motion::starting_at(later.clone());
+                let tracked = track(optics, map, &motion, &mut frame, rng).ok();
+                let Some(tracked) = tracked.filter(|tracked| tracked.is_placed) else {
+                    return Some(Missed::Lost(frame));
+                };
+                let place = map.place(tracked.reference, &tracked.camera_from_map)?;
+                self.later = Some(TrackedFrame {
+                    captured_at: frame.captured_at,
+                    place,
+                    observations: frame.observations.clone(),
+                });
+                let sure = is_sure(map, trajectory, (&frame.observations, &tracked));
+                (place, sure)
+            }
         };
+        if !sure {
+            return Some(Missed::Unsure(frame));
+        }
         if let Some(record) = trajectory.get_mut(frame.frame_idx as usize) {
             record.map_id = map.id();
-            record.place = Some(found.place);
+            record.place = Some(place);
         }
-        self.later = Some(found);
         None
     }
 }
 
-fn find(
-    optics: &Optics,
-    map: &mut VslamMap,
-    later: &TrackedFrame,
-    frame: &mut Frame,
-    rng: &mut ChaCha8Rng,
-) -> Option<TrackedFrame> {
-    let captured_at = frame.captured_at;
+/// The keyframe that the frame became, if it did.
+fn find_keyframe(map: &VslamMap, frame: &Frame) -> Option<TrackedFrame> {
     let is_same = |one: &&crate::Keyframe| one.frame_idx == Some(frame.frame_idx);
-    let keyframe = map.keyframes().find(is_same);
-    if let Some(keyframe) = keyframe {
-        return Some(TrackedFrame {
-            captured_at,
-            place: map.place(keyframe.id, &keyframe.camera_from_map)?,
-            observations: keyframe.observations.clone(),
-        });
-    }
-    let tracked = track(optics, map, &Motion::starting_at(later.clone()), frame, rng).ok()?;
-    if !tracked.is_placed {
-        return None;
-    }
+    let keyframe = map.keyframes().find(is_same)?;
     Some(TrackedFrame {
-        captured_at,
-        place: map.place(tracked.reference, &tracked.camera_from_map)?,
-        observations: frame.observations.clone(),
+        captured_at: frame.captured_at,
+        place: map.place(keyframe.id, &keyframe.camera_from_map)?,
+        observations: keyframe.observations.clone(),
     })
 }

@@ -1,5 +1,6 @@
 //! What a tracked frame does to the map, once its pose is out.
 
+use super::backfill::Missed;
 use super::revisit::Revisit;
 use super::waiting::Search;
 use super::{Mode, Vslam};
@@ -119,8 +120,10 @@ impl Vslam {
             let missed = self
                 .backfill
                 .step((search.optics, map), trajectory, search.rng);
-            if let Some(frame) = missed {
-                self.waiting.remember(&frame);
+            match missed {
+                Some(Missed::Lost(frame)) => self.waiting.remember(&frame),
+                Some(Missed::Unsure(frame)) => self.waiting.remember_for_end(&frame),
+                None => {}
             }
         } else if !self.earlier.iter().any(is_smaller) {
             self.waiting.step(&mut search, map, trajectory);

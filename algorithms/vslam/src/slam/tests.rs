@@ -1,5 +1,6 @@
 //! The whole machine on small rendered worlds.
 
+mod afterwards;
 mod faults;
 mod gyro;
 mod recall;
@@ -97,6 +98,7 @@ fn the_trajectory_is_that_of_the_camera_up_to_scale() {
     // a hundred of them by less; drift over 1 m of path adds to that.
     let mut slam = machine();
     walk_blackout_return(&mut slam);
+    slam.finish();
     let pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)> = slam
         .trajectory()
         .iter()

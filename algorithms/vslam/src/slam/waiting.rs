@@ -7,6 +7,7 @@ use geometry::Timestamp;
 use nalgebra::Vector2;
 use rand_chacha::ChaCha8Rng;
 
+use super::sureness::is_sure;
 use crate::frame::Frame;
 use crate::map::Place;
 use crate::optics::Optics;
@@ -62,6 +63,16 @@ pub(super) struct Search<'a> {
 
 impl Waiting {
     pub(super) fn remember(&mut self, frame: &Frame) {
+        self.push(frame, 0);
+    }
+
+    /// The same for a frame of which the place is known as well as it can be for now: it is tried
+    /// when the map is done.
+    pub(super) fn remember_for_end(&mut self, frame: &Frame) {
+        self.push(frame, TRIES_MAX);
+    }
+
+    fn push(&mut self, frame: &Frame, tries: u32) {
         if self.frames.len() == FRAMES_MAX {
             self.frames.pop_front();
         }
@@ -70,7 +81,7 @@ impl Waiting {
             frame_idx: frame.frame_idx,
             captured_at: frame.captured_at,
             keypoints,
-            tries: 0,
+            tries,
             tried_at: None,
         });
     }
@@ -83,13 +94,11 @@ impl Waiting {
         trajectory: &mut [FrameRecord],
     ) -> bool {
         let size = (map.keyframe_count(), map.revision());
-        let hopeful = |frame: &WaitingFrame| match frame.tried_at {
-            None => true,
-            Some((keyframe_count, revision)) => {
-                frame.tries < TRIES_MAX
-                    && (size.0 >= keyframe_count + GROWTH_KEYFRAMES || size.1 > revision)
-            }
+        let changed = |(keyframe_count, revision): (usize, u64)| {
+            size.0 >= keyframe_count + GROWTH_KEYFRAMES || size.1 > revision
         };
+        let hopeful =
+            |frame: &WaitingFrame| frame.tries < TRIES_MAX && frame.tried_at.is_none_or(changed);
         let Some(idx) = self.frames.iter().rposition(hopeful) else {
             return false;
         };
@@ -147,7 +156,10 @@ impl WaitingFrame {
             before.or_else(|| known(frame_idx + steps))
         });
         let mut frame = self.unpack(search.optics);
-        let Some(place) = locate(search, map, &mut frame, near) else {
+        let found = locate(search, map, &mut frame, near);
+        let sure = found.filter(|found| is_sure(map, trajectory, (&frame.observations, found)));
+        let Some(place) = sure.and_then(|found| map.place(found.reference, &found.camera_from_map))
+        else {
             return false;
         };
         if let Some(record) = trajectory.get_mut(frame_idx) {
@@ -175,7 +187,7 @@ fn locate(
     map: &mut VslamMap,
     frame: &mut Frame,
     near: Option<Place>,
-) -> Option<Place> {
+) -> Option<Tracked> {
     let by_time = near.and_then(|place| {
         let keyframe = map.keyframe(map.holder(place.keyframe)?)?;
         let motion = Motion::starting_at(TrackedFrame {
@@ -186,13 +198,12 @@ fn locate(
         track(search.optics, map, &motion, frame, search.rng).ok()
     });
     let by_time = by_time.filter(Tracked::is_certain);
-    let tracked = by_time.or_else(|| {
+    by_time.or_else(|| {
         frame.forget_points();
         let index = (search.optics, search.places);
         let found = search.relocaliser.locate(index, map, frame, search.rng);
         found.filter(Tracked::is_certain)
-    })?;
-    map.place(tracked.reference, &tracked.camera_from_map)
+    })
 }
 
 impl Keypoint {

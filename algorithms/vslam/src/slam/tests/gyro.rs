@@ -194,8 +194,9 @@ fn a_poor_gyroscope_does_no_harm() {
         noise: 0.02,
     };
     let (_, without) = fly(&images, &poses, None);
-    let (slam, with) = fly(&images, &poses, Some(poor));
+    let (mut slam, with) = fly(&images, &poses, Some(poor));
     assert!(tracking_count(&with) + 1 >= tracking_count(&without));
+    slam.finish();
     let pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)> = slam
         .trajectory()
         .iter()

@@ -1,0 +1,76 @@
+//! Whether a place counts that was found afterwards, when nothing but the image spoke for it.
+
+use crate::held::{misfit, place_sigma};
+use crate::tracking::Tracked;
+use crate::trajectory::FrameRecord;
+use crate::{KeyframeId, Observation, VslamMap};
+
+/// A place may be uncertain by this share of the way that the camera went: even four times as much
+/// does not put it far beside that way.
+const WAY_SHARE_MAX: f64 = 1.0 / 80.0;
+/// Places that are looked at for the way, at most.
+const WAY_PLACES_MAX: usize = 1000;
+/// A step is one if it is longer than this many standard deviations; others are noise.
+const STEP_SIGMAS: f64 = 2.0;
+
+/// A frame that shows less than this of what it should may be of another place that looks alike.
+const FOUND_SHARE_MIN: f64 = 0.3;
+/// Then the points miss its keypoints by so much more than those of keyframes there.
+const MISFIT_RATIO_MAX: f64 = 1.8;
+/// Keyframes that say how much is usual, at most.
+const USUAL_KEYFRAMES: usize = 8;
+
+/// Whether the camera was there: certain enough for the way that it went in the map, and not
+/// found by chance.
+pub(super) fn is_sure(
+    map: &VslamMap,
+    trajectory: &[FrameRecord],
+    (observations, tracked): (&[Observation], &Tracked),
+) -> bool {
+    if is_chance(map, observations, tracked) {
+        return false;
+    }
+    let sigma = place_sigma(map, &tracked.camera_from_map, observations);
+    sigma.is_some_and(|sigma| sigma <= WAY_SHARE_MAX * way(map, trajectory, STEP_SIGMAS * sigma))
+}
+
+fn is_chance(map: &VslamMap, observations: &[Observation], tracked: &Tracked) -> bool {
+    let found_share = tracked.ranged_count as f64 / tracked.expected_count.max(1) as f64;
+    if found_share >= FOUND_SHARE_MIN {
+        return false;
+    }
+    let own = misfit(map, &tracked.camera_from_map, observations);
+    let pair = own.zip(usual_misfit(map, tracked.reference));
+    pair.is_some_and(|(own, usual)| own > MISFIT_RATIO_MAX * usual)
+}
+
+/// By how much the keyframes around this one are missed, in the median.
+fn usual_misfit(map: &VslamMap, around: KeyframeId) -> Option<f64> {
+    let neighbours = &map.keyframe(around)?.neighbours;
+    let ids = std::iter::once(&around).chain(neighbours);
+    let keyframes = ids.filter_map(|id| map.keyframe(*id)).take(USUAL_KEYFRAMES);
+    let misfits = keyframes.filter_map(|one| misfit(map, &one.camera_from_map, &one.observations));
+    let mut misfits: Vec<f64> = misfits.collect();
+    misfits.sort_by(f64::total_cmp);
+    misfits.get(misfits.len() / 2).copied()
+}
+
+/// How far the camera went in the map, by steps of at least this length.
+fn way(map: &VslamMap, trajectory: &[FrameRecord], step_min: f64) -> f64 {
+    let stride = trajectory.len().div_ceil(WAY_PLACES_MAX).max(1);
+    let of_map = trajectory.iter().filter(|one| one.map_id == map.id());
+    let places = of_map.step_by(stride).filter_map(|one| one.place);
+    let centres = places.filter_map(|place| Some(*map.pose(&place)?.inverse().translation()));
+    let (mut way, mut last) = (0.0, None);
+    for centre in centres {
+        let step = (centre - *last.get_or_insert(centre)).norm();
+        if step > step_min {
+            way += step;
+            last = Some(centre);
+        }
+    }
+    way
+}
+
+#[cfg(test)]
+mod tests;
