@@ -93,6 +93,8 @@ pub struct Anchor {
     datum: Option<Datum>,
     georeferencer: Georeferencer,
     georeference: Option<Georeference>,
+    /// All chunks stand where the georeference says, as far as it speaks of them.
+    chunks_were_told: bool,
     cutter: Cutter,
     placer: Placer,
     state: VehicleState,
@@ -117,6 +119,7 @@ impl Anchor {
         Self {
             georeferencer: Georeferencer::new(settings.georeference.clone()),
             georeference: None,
+            chunks_were_told: false,
             cutter: Cutter::default(),
             placer: Placer::new(reference),
             reference,
@@ -155,11 +158,14 @@ impl Anchor {
                 if self.placer.move_keyframes(&poses) {
                     // What was solved is in units that no longer hold.
                     self.next_solve_at = None;
+                    if !self.is_fixed() {
+                        self.georeference = None;
+                    }
                 }
             }
             Event::Fix(fix) if self.is_fixed() => self.take_fix(fix),
             Event::Registered(registration) => {
-                self.take_registration(registration, &mut effects);
+                self.take_registration(registration, now, &mut effects);
             }
             // A map without fixes of its own asks for no ties to them.
             Event::Frame(_) | Event::Fix(_) | Event::Tick => {}
@@ -319,9 +325,7 @@ impl Anchor {
             self.placer
                 .publish(solved, &self.map, self.datum.as_ref(), &self.settings),
         );
-        if !self.is_fixed() {
-            self.forget_placed();
-        }
+        self.chunks_were_told |= global;
     }
 }
 

@@ -57,6 +57,10 @@ impl Cutter {
         });
     }
 
+    pub(super) fn waits_for(&self, keyframe: KeyframeId) -> bool {
+        self.waiting.iter().any(|one| one.keyframe == keyframe)
+    }
+
     /// Leaves this many of those that wait, the newest.
     pub(super) fn forget_oldest(&mut self, count_max: usize) {
         while self.waiting.len() > count_max {
@@ -112,6 +116,9 @@ impl Anchor {
             .position(|waiting| waiting.keyframe == id);
         if let Some(idx) = known {
             self.cutter.waiting.remove(idx);
+        }
+        if !self.is_placed(id) {
+            return;
         }
         let replaced = match self.cutter.remembered.get(&id) {
             Some(frozen) if !self.moved(keyframe, frozen) => return,
@@ -178,9 +185,12 @@ impl Anchor {
         depths.sort_by(f64::total_cmp);
         let typical_depth = depths[depths.len() / 2];
         let numbers = chunks.iter().map(|chunk| chunk.id().number).collect();
+        let placed = self.georeference.as_ref();
+        let placed = placed.and_then(|placed| placed.keyframes.get(&keyframe.pose.id));
         for chunk in chunks {
+            let number = chunk.id().number;
             self.placer
-                .insert(chunk.id().number, keyframe.pose, typical_depth);
+                .insert(number, keyframe.pose, typical_depth, placed);
             let bytes = encode(&chunk);
             effects.push(Effect::PublishChunk { chunk, bytes });
         }

@@ -16,7 +16,7 @@ use protocol::{
 use vslam::KeyframeId;
 
 use super::Effect;
-use crate::georeference::{d_point_d_tangent, move_keyframes, probes};
+use crate::georeference::{PlacedKeyframe, d_point_d_tangent, move_keyframes, probes};
 use crate::{AnchorSettings, Georeference, KeyframePose};
 
 /// Moves below this are never worth a message (m).
@@ -90,19 +90,29 @@ impl Placer {
         }
     }
 
-    pub(super) fn insert(&mut self, number: ChunkNumber, origin: KeyframePose, typical_depth: f64) {
+    /// - `placed`: where its keyframe stands on the Earth, if that is known.
+    pub(super) fn insert(
+        &mut self,
+        number: ChunkNumber,
+        origin: KeyframePose,
+        typical_depth: f64,
+        placed: Option<&PlacedKeyframe>,
+    ) {
         let map_from_camera: Similarity<Map, Camera> = origin.map_from_camera.into();
         self.origins.insert(origin.id, origin);
         self.changed_pages.insert(number.page());
         self.manifest_changed = true;
-        let placed = Placed {
+        let mut chunk = Placed {
             keyframe: origin.id,
             unit_at_cut: origin.unit,
             typical_depth,
             map_from_chunk: map_from_camera.relabel(),
             enu_from_chunk: None,
         };
-        self.chunks.insert(number, placed);
+        if let Some(placed) = placed {
+            chunk.want(placed, Some(&origin));
+        }
+        self.chunks.insert(number, chunk);
     }
 
     /// Chunks that others replace stay where they are, so that holders may keep using them.
@@ -162,15 +172,7 @@ impl Placer {
             let Some(placed) = georeference.keyframes.get(&chunk.keyframe) else {
                 continue;
             };
-            let content = Vector3::z() * chunk.typical_depth;
-            let linear = placed.enu_from_camera.linear_matrix();
-            let jacobian = d_point_d_tangent(&linear, &content);
-            let spread = jacobian * placed.covariance * jacobian.transpose();
-            let camera_from_chunk = chunk.camera_from_chunk(self.origins.get(&chunk.keyframe));
-            chunk.enu_from_chunk = Some(Wanted {
-                enu_from_chunk: placed.enu_from_camera * camera_from_chunk,
-                sigma_m: (spread.trace() / 3.0).max(0.0).sqrt(),
-            });
+            chunk.want(placed, self.origins.get(&chunk.keyframe));
         }
     }
 
@@ -320,6 +322,18 @@ impl Placer {
 }
 
 impl Placed {
+    /// Belongs where its keyframe was placed.
+    fn want(&mut self, placed: &PlacedKeyframe, origin: Option<&KeyframePose>) {
+        let content = Vector3::z() * self.typical_depth;
+        let linear = placed.enu_from_camera.linear_matrix();
+        let jacobian = d_point_d_tangent(&linear, &content);
+        let spread = jacobian * placed.covariance * jacobian.transpose();
+        self.enu_from_chunk = Some(Wanted {
+            enu_from_chunk: placed.enu_from_camera * self.camera_from_chunk(origin),
+            sigma_m: (spread.trace() / 3.0).max(0.0).sqrt(),
+        });
+    }
+
     /// The chunk's content is frozen in the unit that the map had there when it was cut; a loop
     /// closure changes that unit.
     fn camera_from_chunk(&self, origin: Option<&KeyframePose>) -> Similarity<Camera, ChunkFrame> {

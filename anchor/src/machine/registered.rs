@@ -4,7 +4,9 @@
 //! theirs. It is shared only while its vehicle is global.
 
 use geodesy::Datum;
+use geometry::Timestamp;
 use protocol::{Epoch, PROVENANCE_COUNT_MAX, Reference, VehicleId, VehicleState};
+use vslam::KeyframeId;
 
 use super::{Anchor, Effect};
 use crate::{AnchorSettings, Georeference};
@@ -46,6 +48,7 @@ impl Anchor {
     pub(super) fn take_registration(
         &mut self,
         registration: Option<Box<Registration>>,
+        now: Timestamp,
         effects: &mut Vec<Effect>,
     ) {
         if self.is_fixed() {
@@ -55,6 +58,10 @@ impl Anchor {
             (1..=PROVENANCE_COUNT_MAX).contains(&registration.provenance.len())
         };
         let Some(registration) = registration.filter(|one| nameable(one)) else {
+            // What was cut since the last placement belongs where it was known to be.
+            if self.may_cut() {
+                self.place(now, effects);
+            }
             let reason = "not placed by registration".to_owned();
             self.enter((VehicleState::GlobalStale, reason), effects);
             return;
@@ -65,24 +72,24 @@ impl Anchor {
             provenance,
         } = *registration;
         self.datum.get_or_insert(datum);
-        // What was placed since the last placement went out counts too.
+        // What the chunks were told is with them; the others have yet to hear of it.
         if let Some(before) = self.georeference.take() {
             for (id, placed) in before.keyframes {
-                georeference.keyframes.entry(id).or_insert(placed);
+                if !self.chunks_were_told || self.cutter.waits_for(id) {
+                    georeference.keyframes.entry(id).or_insert(placed);
+                }
             }
         }
+        self.chunks_were_told = false;
         self.georeference = Some(georeference);
         self.placer.rest_on(provenance);
         let reason = "registration".to_owned();
         self.enter((VehicleState::Global, reason), effects);
     }
 
-    /// Where keyframes stand is with their chunks now.
-    pub(super) fn forget_placed(&mut self) {
-        if let Some(georeference) = &mut self.georeference {
-            while georeference.keyframes.len() > 1 {
-                georeference.keyframes.pop_first();
-            }
-        }
+    /// Whether it is known where a keyframe stands; one with fixes is corrected later.
+    pub(super) fn is_placed(&self, keyframe: KeyframeId) -> bool {
+        let placed = self.georeference.as_ref();
+        self.is_fixed() || placed.is_some_and(|placed| placed.keyframes.contains_key(&keyframe))
     }
 }

@@ -73,6 +73,13 @@ impl AnchorRole {
         self.drive(VecDeque::from([registered]), map, outlet);
     }
 
+    /// Follows a correction of the map, which may stretch it: ahead of what is said of its place.
+    pub fn correct_map(&mut self, map_revision: u64, map: &VslamMap, outlet: &mut Outlet<'_>) {
+        self.map_revision = map_revision;
+        let moved = AnchorEvent::KeyframesMoved(keyframe_poses(map));
+        self.drive(VecDeque::from([moved]), map, outlet);
+    }
+
     /// Poses are in this map from now on; another one than before begins an epoch.
     pub fn enter_map(&mut self, map_id: vslam::MapId, map: &VslamMap, outlet: &mut Outlet<'_>) {
         if self.own_map.is_some_and(|known| known != map_id) {

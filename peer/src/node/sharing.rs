@@ -71,13 +71,16 @@ impl PeerRole {
         is_placed: bool,
         outlet: &mut Outlet<'_>,
     ) {
-        if self.sharing.map_revision != mapped.map_revision {
-            self.sharing.map_revision = mapped.map_revision;
+        let corrected = self.sharing.map_revision != mapped.map_revision;
+        self.sharing.map_revision = mapped.map_revision;
+        if corrected {
             self.sharing.moved = true;
+            let shared = &mut self.sharing.shared;
+            shared.correct_map(mapped.map_revision, map, outlet);
         }
         if !is_placed {
             self.sharing.shared.take_registration(None, map, outlet);
-        } else if mapped.new_keyframe.is_some() {
+        } else if corrected || mapped.new_keyframe.is_some() {
             let registration = self.registration(map, outlet.now);
             let shared = &mut self.sharing.shared;
             shared.take_registration(registration, map, outlet);
