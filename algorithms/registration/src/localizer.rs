@@ -10,6 +10,7 @@ mod chunk_grid;
 mod estimate;
 mod fusion;
 mod history;
+mod image_grid;
 mod intake;
 mod landmarks;
 mod locate;

@@ -86,14 +86,21 @@ impl Estimate {
         if let Some(pose_covariance) = pose_covariance {
             covariance += pose_covariance;
         }
-        let rotation = self.enu_from_camera(map_from_camera).rotation_matrix();
-        let mut enu_from_camera = Matrix6::zeros();
-        enu_from_camera
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&rotation);
-        enu_from_camera
-            .fixed_view_mut::<3, 3>(3, 3)
-            .copy_from(&(rotation * self.enu_from_map.scale()));
-        enu_from_camera * covariance * enu_from_camera.transpose()
+        let enu_from_camera = self.enu_from_camera(map_from_camera);
+        in_global_axes(&covariance, &enu_from_camera, self.enu_from_map.scale())
     }
+}
+
+/// From `[ω; ν]` in a camera's axes and its map's unit to `[ω; p]` in the global axes.
+pub(super) fn in_global_axes(
+    covariance: &Matrix6<f64>,
+    enu_from_camera: &Transform<Enu, Camera>,
+    unit_m: f64,
+) -> Matrix6<f64> {
+    let axes = enu_from_camera.rotation_matrix();
+    let mut turn = Matrix6::zeros();
+    turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&axes);
+    turn.fixed_view_mut::<3, 3>(3, 3)
+        .copy_from(&(axes * unit_m));
+    turn * covariance * turn.transpose()
 }

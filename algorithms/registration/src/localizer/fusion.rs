@@ -44,13 +44,9 @@ impl Vote {
             Reference::Fixed => state.georeference_share(settings),
             Reference::Registered | Reference::Circular => 1.0,
         };
-        let mut covariance = state.scaled_covariance() + georeference * share;
-        let floor = &settings.alignment_floor;
-        for axis in 0..3 {
-            covariance[(axis, axis)] += floor.rotation_rad.powi(2);
-            covariance[(axis + 3, axis + 3)] += (floor.translation * state.depth).powi(2);
-        }
-        covariance[(6, 6)] += floor.log_scale.powi(2);
+        let covariance = state.scaled_covariance()
+            + georeference * share
+            + settings.alignment_floor.covariance(state.depth);
         Self {
             anchor,
             owner,

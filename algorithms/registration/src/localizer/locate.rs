@@ -8,6 +8,7 @@ use geometry::{Camera, Chunk, Map, Matrix7, Similarity, Tangent7, Transform};
 use nalgebra::{Matrix2, Vector2, Vector6};
 use rand_chacha::ChaCha8Rng;
 
+use super::image_grid::ImageGrid;
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::matching::{FeatureIndex, LandmarkMatch, match_predicted, search};
 use super::types::{ChunkIdx, LocalizerSettings, ObservedFeature, Refusal};
@@ -242,14 +243,10 @@ impl Attempt<'_> {
 
     /// In how many cells of a 4×4 grid over the image there are inliers.
     fn occupied_cell_count(&self, inliers: &[LandmarkMatch]) -> usize {
-        let (lowest, highest) = self.features.bounds();
-        let extent = highest - lowest;
-        let mut occupied = [false; 16];
+        let grid = ImageGrid::new(self.features.bounds(), [4, 4]);
+        let mut occupied = vec![false; grid.cell_count()];
         for one in inliers {
-            let offset: Vector2<f64> = self.observed[one.feature_idx].position - lowest;
-            let along =
-                |axis: usize| ((offset[axis] / extent[axis].max(1e-9) * 4.0) as usize).min(3);
-            occupied[along(1) * 4 + along(0)] = true;
+            occupied[grid.cell(&self.observed[one.feature_idx].position)] = true;
         }
         occupied.iter().filter(|one| **one).count()
     }

@@ -4,6 +4,7 @@ use features::Descriptor;
 use geometry::{Camera, Transform};
 use nalgebra::{Vector2, Vector3};
 
+use super::image_grid::ImageGrid;
 use super::landmarks::{AnchorLandmarks, AnchorMap, DISTANCE_FACTOR_MAX, PlacedLandmark};
 use super::types::{ChunkIdx, LocalizerSettings, ObservedFeature};
 
@@ -30,6 +31,7 @@ pub(super) struct FeatureIndex {
     /// The corners of the box around all features.
     lowest: Vector2<f64>,
     highest: Vector2<f64>,
+    grid: ImageGrid,
     cell_start: Vec<u32>,
     sorted: Vec<u32>,
 }
@@ -57,6 +59,7 @@ impl FeatureIndex {
             positions,
             lowest,
             highest,
+            grid: ImageGrid::new((lowest, highest), [GRID_SIZE; 2]),
             cell_start: vec![0; GRID_SIZE * GRID_SIZE + 1],
             sorted: Vec::new(),
         };
@@ -73,23 +76,11 @@ impl FeatureIndex {
         (self.lowest, self.highest)
     }
 
-    fn cell(&self, position: &Vector2<f64>) -> (usize, usize) {
-        let extent = self.highest - self.lowest;
-        let along = |axis: usize| {
-            let share = (position[axis] - self.lowest[axis]) / extent[axis].max(1e-9);
-            ((share * GRID_SIZE as f64).max(0.0) as usize).min(GRID_SIZE - 1)
-        };
-        (along(0), along(1))
-    }
-
     fn sort_into_cells(&mut self) {
         let cells: Vec<usize> = self
             .positions
             .iter()
-            .map(|position| {
-                let (column, row) = self.cell(position);
-                row * GRID_SIZE + column
-            })
+            .map(|position| self.grid.cell(position))
             .collect();
         self.sorted = (0..self.len() as u32).collect();
         self.sorted.sort_by_key(|idx| cells[*idx as usize]);
@@ -112,8 +103,8 @@ impl FeatureIndex {
         mut visit: impl FnMut(usize),
     ) {
         let offset = Vector2::repeat(radius);
-        let (column_first, row_first) = self.cell(&(position - offset));
-        let (column_last, row_last) = self.cell(&(position + offset));
+        let [column_first, row_first] = self.grid.place(&(position - offset));
+        let [column_last, row_last] = self.grid.place(&(position + offset));
         for row in row_first..=row_last {
             let first = self.cell_start[row * GRID_SIZE + column_first] as usize;
             let last = self.cell_start[row * GRID_SIZE + column_last + 1] as usize;
@@ -331,12 +322,14 @@ pub(super) struct Coverage {
     pub confirmed_count: usize,
 }
 
-/// Compares what should be in view of a pose with what was matched.
+/// Compares what should be in view of a pose with what was matched there, among as many landmarks
+/// as were compared.
 pub(super) fn coverage(
     features: &FeatureIndex,
     anchor: &AnchorLandmarks,
     camera_from_anchor: &Transform<Camera, AnchorMap>,
     matches: &[LandmarkMatch],
+    settings: &LocalizerSettings,
 ) -> Coverage {
     #[derive(Clone, Copy, Default)]
     struct Cell {
@@ -344,33 +337,25 @@ pub(super) fn coverage(
         feature_count: usize,
         match_count: usize,
     }
-    let (lowest, highest) = features.bounds();
-    let extent = highest - lowest;
-    let cell_of = |position: &Vector2<f64>| {
-        let along = |axis: usize| {
-            let share = (position[axis] - lowest[axis]) / extent[axis].max(1e-9);
-            let count = COVERAGE_GRID[axis];
-            ((share * count as f64).max(0.0) as usize).min(count - 1)
-        };
-        along(1) * COVERAGE_GRID[0] + along(0)
-    };
-    let mut cells = [Cell::default(); COVERAGE_GRID[0] * COVERAGE_GRID[1]];
+    let grid = ImageGrid::new(features.bounds(), COVERAGE_GRID);
+    let mut cells = vec![Cell::default(); grid.cell_count()];
     let view = View::new(features, camera_from_anchor, 0.0);
-    for (_, chunk) in anchor.chunks_near(&view.position, usize::MAX) {
+    let landmark_count_max = settings.predicted_landmark_count_max;
+    for (_, chunk) in anchor.chunks_near(&view.position, landmark_count_max) {
         let (centre, radius) = chunk.bounds();
         if !view.may_see(&centre, radius) {
             continue;
         }
         let positions = chunk.placed().iter().filter_map(|one| view.project(one));
         for position in positions {
-            cells[cell_of(&position)].landmark_count += 1;
+            cells[grid.cell(&position)].landmark_count += 1;
         }
     }
     for position in &features.positions {
-        cells[cell_of(position)].feature_count += 1;
+        cells[grid.cell(position)].feature_count += 1;
     }
     for one in matches {
-        cells[cell_of(&features.positions[one.feature_idx])].match_count += 1;
+        cells[grid.cell(&features.positions[one.feature_idx])].match_count += 1;
     }
     let mut coverage = Coverage::default();
     for cell in cells {

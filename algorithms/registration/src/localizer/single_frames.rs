@@ -10,6 +10,7 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::Localizer;
 use super::anchor::Anchor;
+use super::estimate::in_global_axes;
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::locate::{Attempt, Effort, Hint, Located};
 use super::matching::{FeatureIndex, coverage, match_predicted};
@@ -19,6 +20,9 @@ use super::types::{
 
 /// All landmarks are searched at most every so often: a search costs about 20 ms.
 const SEARCH_INTERVAL_S: f64 = 0.19;
+/// Anchors that are asked for one frame whether it is where something else says; the others wait
+/// for the next.
+const NEAR_ANCHORS_PER_FRAME: usize = 2;
 /// Frames that were searched for and agree, and their inliers together, before the first place.
 const FIRST_FRAME_COUNT: usize = 3;
 const FIRST_INLIER_COUNT: usize = 75;
@@ -60,6 +64,8 @@ pub struct FrameLocation {
     /// `[ω; p]`, the rotation vector (rad) and the position (m) in the axes of the global frame,
     /// with the error of the anchor's georeference.
     pub covariance: Matrix6<f64>,
+    /// Median depth of the scene (m).
+    pub depth_m: f64,
     pub anchor: AnchorIdx,
     pub inlier_count: usize,
 }
@@ -75,6 +81,8 @@ pub(super) struct SingleFrames {
     searched: Option<Verdict>,
     /// Which anchor is searched next, and in each where to go on.
     turn: usize,
+    /// Which anchor is asked next for a frame that is near where something else says.
+    near_turn: usize,
     cursors: BTreeMap<AnchorIdx, ChunkIdx>,
     /// Frames that were believed, the oldest first.
     past: VecDeque<PastFrame>,
@@ -112,8 +120,8 @@ impl Localizer {
     ///
     /// - `near`: where the camera was a moment ago, if something else than single frames says so.
     ///
-    /// Frames come in the order of time. Cost: near a known place that of a keyframe, otherwise
-    /// that of a search at most five times a second.
+    /// Frames come in the order of time. Cost: near a known place that of a keyframe or two,
+    /// otherwise that of a search at most five times a second.
     pub fn observe_frame(
         &mut self,
         frame: &FrameObservation,
@@ -154,7 +162,11 @@ impl Localizer {
 
     fn find_frame_near(&mut self, image: &Image, near: &NearPose) -> Option<FrameLocation> {
         let radius = self.settings.predicted_radius_max;
-        for idx in self.usable_anchors() {
+        let anchors = self.usable_anchors();
+        let first = self.single_frames.near_turn % anchors.len().max(1);
+        let in_turn = anchors[first..].iter().chain(&anchors[..first]);
+        for idx in in_turn.take(NEAR_ANCHORS_PER_FRAME).copied() {
+            self.single_frames.near_turn += 1;
             let placement = self.anchors.get(&idx)?.landmarks.placement()?;
             let anchor_from_enu = placement.enu_from_map.inverse();
             let anchor_from_camera = anchor_from_enu.transform_pose(&near.enu_from_camera);
@@ -258,6 +270,7 @@ impl Localizer {
             frames.past.pop_front();
         }
         frames.follow(place);
+        frames.near_turn = 0;
         Ok(location)
     }
 
@@ -296,22 +309,15 @@ impl Localizer {
             &self.settings.keyframe_floor,
             &self.settings.alignment_floor,
         ] {
-            for axis in 0..3 {
-                covariance[(axis, axis)] += floor.rotation_rad.powi(2);
-                covariance[(axis + 3, axis + 3)] += (floor.translation * depth).powi(2);
-            }
+            covariance += floor.covariance(depth).fixed_view::<6, 6>(0, 0);
         }
         covariance += pose_part(&anchor_from_camera, &placement.covariance);
         let enu_from_camera = placement.enu_from_map.transform_pose(&anchor_from_camera);
-        let axes = enu_from_camera.rotation_matrix();
-        let mut enu_from_axes = Matrix6::zeros();
-        enu_from_axes.fixed_view_mut::<3, 3>(0, 0).copy_from(&axes);
-        enu_from_axes
-            .fixed_view_mut::<3, 3>(3, 3)
-            .copy_from(&(axes * placement.enu_from_map.scale()));
+        let unit_m = placement.enu_from_map.scale();
         Ok(FrameLocation {
             enu_from_camera,
-            covariance: enu_from_axes * covariance * enu_from_axes.transpose(),
+            covariance: in_global_axes(&covariance, &enu_from_camera, unit_m),
+            depth_m: depth * unit_m,
             anchor: idx,
             inlier_count: located.inlier_count,
         })
@@ -368,7 +374,7 @@ impl Image<'_> {
         let pose = place.anchor_from_camera.inverse();
         let radius = settings.refine_radius;
         let matches = match_predicted(&self.features, anchor, &pose, radius, settings).list;
-        let coverage = coverage(&self.features, anchor, &pose, &matches);
+        let coverage = coverage(&self.features, anchor, &pose, &matches, settings);
         let share = coverage.confirmed_count as f64 / coverage.expected_count.max(1) as f64;
         if share < CONFIRMED_SHARE_MIN || coverage.confirmed_count < CONFIRMED_COUNT_MIN {
             return Err(Refusal::Contradicted);
@@ -408,7 +414,8 @@ impl Place {
 }
 
 impl SingleFrames {
-    /// Forgets what says nothing any more at this time, or rests on other anchors than these.
+    /// Forgets what says nothing any more at this time, or rests on other anchors than these. A
+    /// place that is no longer followed is one of those that wait, for as long as those do.
     fn forget_old(&mut self, now: Timestamp, usable: &[AnchorIdx]) {
         self.followed = self
             .followed
@@ -420,7 +427,7 @@ impl SingleFrames {
             self.followed = None;
         }
         self.waiting
-            .retain(|place| now - place.captured_at < WAITING_S);
+            .retain(|place| now - place.captured_at < WAITING_S && usable.contains(&place.anchor));
     }
 
     fn follow(&mut self, place: Place) {

@@ -123,12 +123,7 @@ impl Measurement {
         let mut unit = Tangent7::repeat(1.0);
         unit.fixed_rows_mut::<3>(3).fill(chunk_unit_in_map);
         let mut covariance = located.covariance.component_mul(&(unit * unit.transpose()));
-        let floor = &settings.keyframe_floor;
-        for axis in 0..3 {
-            covariance[(axis, axis)] += floor.rotation_rad.powi(2);
-            covariance[(axis + 3, axis + 3)] += (floor.translation * depth).powi(2);
-        }
-        covariance[(6, 6)] += floor.log_scale.powi(2);
+        covariance += settings.keyframe_floor.covariance(depth);
         Some(Self {
             anchor_from_camera,
             covariance,
@@ -322,9 +317,9 @@ impl Track {
         self.entries.back()
     }
 
-    /// Whether it rests on this keyframe.
+    /// Whether this keyframe agreed, as far as it is remembered.
     pub fn holds(&self, keyframe: KeyframeIdx) -> bool {
-        self.entries.iter().any(|entry| entry.keyframe == keyframe)
+        self.history().any(|entry| entry.keyframe == keyframe)
     }
 
     /// The keyframes that it rests on, and those that wait.
@@ -350,9 +345,11 @@ impl Track {
                 measurement.disagreement(&predicted) < settings.disagreement_max
             });
             if agrees {
-                self.insert(entry);
-                while self.entries.len() > settings.window_keyframe_count {
-                    self.past.extend(self.entries.pop_front());
+                insert(&mut self.entries, entry);
+                while self.entries.len() > settings.window_keyframe_count
+                    && let Some(oldest) = self.entries.pop_front()
+                {
+                    insert(&mut self.past, oldest);
                 }
                 while self.past.len() > PAST_MAX {
                     self.past.pop_front();
@@ -372,13 +369,6 @@ impl Track {
             self.waiting.pop_front();
         }
         self.count_votes(anchor, settings)
-    }
-
-    /// Entries are in the order of time, also those of keyframes that were located late.
-    fn insert(&mut self, entry: Entry) {
-        let is_earlier = |known: &Entry| known.captured_at <= entry.captured_at;
-        let place = self.entries.partition_point(is_earlier);
-        self.entries.insert(place, entry);
     }
 
     /// Whether the newest waiting entry has enough company to found a new track.
@@ -458,6 +448,12 @@ impl Track {
         }
         found
     }
+}
+
+/// Entries are in the order of time, also those of keyframes that were located late.
+fn insert(entries: &mut VecDeque<Entry>, entry: Entry) {
+    let place = entries.partition_point(|known| known.captured_at <= entry.captured_at);
+    entries.insert(place, entry);
 }
 
 impl Entry {

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use features::Descriptor;
-use geometry::{Camera, Map, Timestamp, Transform};
+use geometry::{Camera, Map, Matrix7, Tangent7, Timestamp, Transform};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::evidence::Evenness;
@@ -208,6 +208,14 @@ pub struct ErrorFloor {
     /// Share of the scene's depth.
     pub translation: f64,
     pub log_scale: f64,
+}
+
+impl ErrorFloor {
+    /// Over `[ω; ν; ln s]`, for a scene so deep.
+    pub(super) fn covariance(&self, depth: f64) -> Matrix7 {
+        let sigmas = [self.rotation_rad, self.translation * depth, self.log_scale];
+        Matrix7::from_diagonal(&Tangent7::from_fn(|row, _| sigmas[row / 3].powi(2)))
+    }
 }
 
 /// How keyframes are located and believed.

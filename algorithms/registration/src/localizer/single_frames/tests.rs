@@ -173,6 +173,41 @@ fn a_pose_from_elsewhere_makes_the_search_needless() {
     assert_eq!(location.anchor, AnchorIdx(0));
 }
 
+/// Goal: many anchors whose maps show nothing of this place cost no more than two. Method: only
+/// the last of five shows it.
+#[test]
+fn a_pose_from_elsewhere_is_looked_for_in_one_anchor_after_the_other() {
+    let anchors: Vec<AnchorSettings> = (0..5)
+        .map(|idx| AnchorSettings {
+            idx: AnchorIdx(idx),
+            chunks: if idx < 4 { 0..2 } else { 0..30 },
+            ..AnchorSettings::default()
+        })
+        .collect();
+    let mut scene = scene_of(7, &anchors);
+    for frame_idx in 0..3 {
+        let frame = scene.look(2.5);
+        let near = NearPose {
+            captured_at: frame.captured_at,
+            enu_from_camera: scene.flyer.enu_from_camera,
+        };
+        let located = scene.localizer.observe_frame(&frame, Some(&near));
+        assert_eq!(located.is_ok(), frame_idx == 2, "{frame_idx}: {located:?}");
+    }
+}
+
+#[test]
+fn places_in_the_map_of_an_anchor_that_is_no_longer_used_confirm_nothing() {
+    let mut scene = scene(8);
+    (0..2).for_each(|_| drop(scene.step(0.5)));
+    let now = Timestamp::from_seconds(0.3).unwrap();
+    let frames = &mut scene.localizer.single_frames;
+    frames.forget_old(now, &[AnchorIdx(0)]);
+    assert_eq!(frames.waiting.len(), 1);
+    frames.forget_old(now, &[]);
+    assert!(frames.waiting.is_empty());
+}
+
 /// The error of the georeference is common to all that is seen: no number of points averages it.
 #[test]
 fn the_georeference_enters_the_covariance_whole() {

@@ -102,6 +102,33 @@ fn mapping_a_place_again_and_again_is_bounded() {
     );
 }
 
+/// Goal: what a place promises is asked of no more landmarks than are compared. Method: the bound
+/// leaves none of the chunks about the place.
+#[test]
+fn what_should_be_in_view_is_bounded_too() {
+    let mut scene = scene(34, 0.0);
+    scene.publish(&AnchorSettings::default());
+    scene.flyer.fly_to(0);
+    let keyframe = scene.flyer.keyframe(&scene.world);
+    let features = FeatureIndex::new(&keyframe.features).unwrap();
+    let landmarks = &scene.localizer.anchors[&AnchorIdx(0)].landmarks;
+    let enu_from_anchor = landmarks.placement().unwrap().enu_from_map;
+    let anchor_from_enu = enu_from_anchor.inverse();
+    let pose = anchor_from_enu.transform_pose(&scene.flyer.enu_from_camera);
+    let expected_counts = [40_000, 1].map(|predicted_landmark_count_max| {
+        let settings = LocalizerSettings {
+            predicted_landmark_count_max,
+            ..LocalizerSettings::default()
+        };
+        let coverage = matching::coverage(&features, landmarks, &pose.inverse(), &[], &settings);
+        coverage.expected_count
+    });
+    assert!(
+        expected_counts[0] > 10 && expected_counts[1] == 0,
+        "{expected_counts:?}"
+    );
+}
+
 /// Goal: what follows the own map costs the same however many keyframes that has.
 #[test]
 fn only_recent_keyframes_are_asked_for() {

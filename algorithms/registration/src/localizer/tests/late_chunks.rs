@@ -42,6 +42,33 @@ fn a_vehicle_that_left_the_map_is_found_where_the_map_grows_to() {
     assert!(scene.position_error().unwrap().0 < 0.1);
 }
 
+/// Goal: the trajectory in hindsight follows the order of time. Method: a short window, and a
+/// keyframe that is located only after later ones have left it.
+#[test]
+fn what_is_located_late_is_remembered_where_it_belongs() {
+    let mut scene = scene(24, 1.0);
+    scene.localizer.settings.window_keyframe_count = 3;
+    scene.publish(&AnchorSettings::default());
+    let mut late = None;
+    for step in 0..12 {
+        scene.flyer.fly_to(step);
+        let keyframe = scene.flyer.keyframe(&scene.world);
+        if step == 5 {
+            late = Some(keyframe);
+        } else {
+            scene.localizer.observe_keyframe(&keyframe);
+        }
+    }
+    let late = late.unwrap();
+    let report = scene.localizer.observe_keyframe(&late);
+    assert_eq!(report.verdict, Verdict::Accepted);
+    let track = &scene.localizer.anchors[&AnchorIdx(0)].track;
+    assert!(track.holds(late.id), "it would be located again");
+    let times: Vec<_> = track.history().map(|entry| entry.captured_at).collect();
+    assert_eq!(times.len(), 12);
+    assert!(times.is_sorted(), "{times:?}");
+}
+
 /// Goal: corrections of the own map between a keyframe and its chunks are not lost.
 #[test]
 fn keyframes_that_wait_for_chunks_follow_the_own_map() {
