@@ -32,7 +32,6 @@ use rand_chacha::ChaCha8Rng;
 
 use anchor::{Anchor, hint};
 use fusion::{Fused, Vote, disagreement, fuse};
-use landmarks::AnchorLandmarks;
 use locate::Hint;
 use matching::FeatureIndex;
 use retry::Missed;
@@ -305,8 +304,6 @@ impl Localizer {
             map_from_keyframe: *map_from_camera,
             depth_in_map: state.depth,
             accepted_count: self.accepted_count,
-            jump_count: self.jump_count,
-            overruled_count: self.overruled_count,
             anchors: fused.anchors.clone(),
             reference: fused.reference,
             left_out: fused.left_out.clone(),
@@ -315,13 +312,20 @@ impl Localizer {
         })
     }
 
+    /// How often the estimate changed by more than its uncertainty explained, in all maps so far.
+    pub fn jump_count(&self) -> u64 {
+        self.jump_count
+    }
+
+    /// How often keyframes that agreed with each other replaced a wrong alignment.
+    pub fn overruled_count(&self) -> u64 {
+        self.overruled_count
+    }
+
     /// How many landmarks are usable: of placed chunks of placed anchors.
     pub fn landmark_count(&self) -> usize {
-        let placed = self.anchors.values().map(|anchor| &anchor.landmarks);
-        placed
-            .filter(|landmarks| landmarks.placement().is_some())
-            .map(AnchorLandmarks::landmark_count)
-            .sum()
+        let usable = self.anchors.values().filter(|anchor| anchor.is_usable());
+        usable.map(|anchor| anchor.landmarks.landmark_count()).sum()
     }
 
     /// The landmarks of an anchor in the global frame, for display and export.

@@ -53,6 +53,7 @@ impl PeerRole {
         let by_frame = located.map(|located| GlobalCamera {
             enu_from_camera: located.enu_from_camera,
             covariance: located.covariance,
+            depth_m: located.depth_m,
         });
         // A map that is not good enough leaves the word to single frames that are there.
         let told_by_map = by_map.filter(|_| good || by_frame.is_none());
@@ -71,9 +72,8 @@ impl PeerRole {
             tie,
             pose: pose.map(|pose| (pose.enu_from_camera, pose.covariance)),
             datum: self.datum().cloned(),
-            jump_count: estimate.as_ref().map_or(0, |estimate| estimate.jump_count)
-                + self.handover.jump_count(),
-            overruled_count: estimate.map_or(0, |estimate| estimate.overruled_count),
+            jump_count: self.localizer.jump_count() + self.handover.jump_count(),
+            overruled_count: self.localizer.overruled_count(),
         }
     }
 
@@ -129,5 +129,6 @@ fn pose_by_map(estimate: &Estimate, report: &FrameReport) -> Option<GlobalCamera
     Some(GlobalCamera {
         enu_from_camera: estimate.enu_from_camera(map_from_camera),
         covariance: estimate.pose_covariance(map_from_camera, report.pose_covariance.as_ref()),
+        depth_m: estimate.depth_in_map * estimate.enu_from_map.scale(),
     })
 }

@@ -22,10 +22,6 @@ pub struct Estimate {
     pub depth_in_map: f64,
     /// Keyframes accepted since the map was born.
     pub accepted_count: u64,
-    /// How often the estimate changed by more than its uncertainty explained.
-    pub jump_count: u64,
-    /// How often keyframes that agreed with each other replaced a wrong alignment.
-    pub overruled_count: u64,
     /// The anchors that the estimate rests on.
     pub anchors: Vec<AnchorIdx>,
     /// How those came to their places.

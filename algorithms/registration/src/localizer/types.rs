@@ -95,10 +95,10 @@ pub struct AlignmentReport {
     /// One entry for each anchor that was tried.
     pub anchors: Vec<AnchorReport>,
     /// The estimate has changed by more than its uncertainty explained; also counted in
-    /// `Estimate::jump_count`.
+    /// `Localizer::jump_count`.
     pub jumped: bool,
     /// Keyframes that agree with each other have replaced an alignment that was wrong; also
-    /// counted in `Estimate::overruled_count`.
+    /// counted in `Localizer::overruled_count`.
     pub overruled: bool,
 }
 
