@@ -88,15 +88,13 @@ impl PeerRole {
 
     pub fn take_chunk(&mut self, chunk: &Chunk, page: Option<&PlacementPage>) {
         let header = chunk.header();
-        let provenance = header.provenance.iter().cloned().collect();
-        if self.reference_of(&chunk.id().map, (header.reference, &provenance))
-            == Reference::Circular
-        {
+        let map = &chunk.id().map;
+        // Of a map that rests on this vehicle's nothing is used any more, from its first word of it.
+        if self.rest_on(map, header.reference, &header.provenance) == Reference::Circular {
             self.circular_count += 1;
             return;
         }
-        let anchor = self.anchor_idx(&chunk.id().map);
-        self.rest_on(&chunk.id().map, header.reference, &header.provenance);
+        let anchor = self.anchor_idx(map);
         let idx = ChunkIdx(u64::from(chunk.id().number.0));
         let camera = chunk.header().camera;
         let landmarks = chunk.points().map(|point| Landmark {

@@ -1,9 +1,14 @@
+use std::collections::BTreeSet;
+
 use camera::Calibration;
 use geodesy::Datum;
+use geometry::Similarity;
 use nalgebra::Vector3;
-use protocol::{ChunkPoint, Reference, encode};
+use protocol::{ChunkPlacement, ChunkPoint, Reference, encode};
+use registration::AnchorIdx;
 
 use super::*;
+use crate::node::peer_role::PeerRole;
 use crate::node::{EpochStart, NodeSettings, PositionSource};
 use crate::test_support::{chunk, manifest, placement, vehicle};
 
@@ -26,7 +31,11 @@ fn settings(id: &str) -> (NodeSettings, Calibration) {
 }
 
 fn peer() -> Node {
-    let (settings, calibration) = settings("drone1");
+    peer_named("drone1")
+}
+
+fn peer_named(id: &str) -> Node {
+    let (settings, calibration) = settings(id);
     Node::peer(settings, calibration)
 }
 
@@ -110,22 +119,27 @@ fn chunks_of_an_earlier_epoch_are_taken_back() {
     assert_eq!(node.counters.chunks_received, 1);
 }
 
-fn circular_count(node: &Node) -> u64 {
+fn peer_role(node: &Node) -> &PeerRole {
     match &node.role {
-        Role::Peer(role) => role.circular_count(),
+        Role::Peer(role) => role,
         Role::Anchor(_) => panic!("a peer is no anchor"),
     }
 }
 
 /// Another drone's map, registered to what these vehicles say.
 fn registered_to(sources: &[&str]) -> (Placement, Chunk) {
+    let named = sources.iter().map(|one| vehicle(one)).collect();
+    registered("drone2", &named, 0)
+}
+
+fn registered(owner: &str, sources: &BTreeSet<VehicleId>, number: u32) -> (Placement, Chunk) {
     let mut map = crate::test_support::map();
-    map.anchor = vehicle("drone2");
-    let provenance: Vec<VehicleId> = sources.iter().map(|one| vehicle(one)).collect();
-    let mut placement = placement(map.clone(), 1);
+    map.anchor = vehicle(owner);
+    let provenance: Vec<VehicleId> = sources.iter().cloned().collect();
+    let mut placement = placement(map.clone(), number);
     placement.reference = Reference::Registered;
     placement.provenance = provenance.clone();
-    let fixed = chunk(map, 0);
+    let fixed = chunk(map, number);
     let mut header = fixed.header().clone();
     header.reference = Reference::Registered;
     header.provenance = provenance;
@@ -146,8 +160,91 @@ fn what_rests_on_the_own_map_is_kept_and_not_used() {
         let key = Key::Chunk(chunk.id().clone());
         let kept = hear(&mut node, &key, encode(&chunk));
         assert!(kept.iter().any(|one| matches!(one, Effect::Keep(_))));
-        assert_eq!(circular_count(&node), refused, "{sources:?}");
+        assert_eq!(peer_role(&node).circular_count(), refused, "{sources:?}");
     }
+}
+
+/// Chunks and where they stand, which all have one landmark.
+fn hear_all<'a>(nodes: &mut [Node], said: impl Iterator<Item = &'a (Placement, Chunk)> + Clone) {
+    for node in nodes {
+        let others = |chunk: &Chunk| chunk.id().map.anchor != node.settings.id;
+        let heard: Vec<_> = said.clone().filter(|(_, chunk)| others(chunk)).collect();
+        for (placement, chunk) in heard {
+            let page = PlacementPage::new(
+                placement.map.clone(),
+                0,
+                chunk.id().number.0 + 1,
+                &[ChunkPlacement {
+                    number: chunk.id().number,
+                    map_from_chunk: Similarity::identity(),
+                }],
+            );
+            let key = Key::Placement(placement.map.clone());
+            hear(node, &key, encode(placement));
+            let key = Key::PlacementPage(placement.map.clone(), 0);
+            hear(node, &key, encode(&page));
+            hear(node, &Key::Chunk(chunk.id().clone()), encode(chunk));
+        }
+    }
+}
+
+/// Goal: no vehicle holds itself up by others that it holds up, even if all begin in the same
+/// moment, when nobody has named anybody yet. Method: each of a ring begins to use the map of the
+/// next; what was mapped until then rested on the ground vehicle alone.
+#[test]
+fn vehicles_that_begin_to_use_each_other_at_once_let_go() {
+    let all = ["drone1", "drone2", "drone3"];
+    for ring in [&all[..2], &all] {
+        let mut nodes: Vec<Node> = ring.iter().map(|id| peer_named(id)).collect();
+        let ground = (
+            placement(crate::test_support::map(), 1),
+            chunk(crate::test_support::map(), 0),
+        );
+        hear_all(&mut nodes, [&ground].into_iter());
+        let mut named = vec![BTreeSet::from([vehicle("ugv1")]); ring.len()];
+        for round in 1..=ring.len() as u32 + 1 {
+            let said = ring.iter().zip(&named);
+            let said: Vec<_> = said
+                .map(|(id, named)| registered(id, named, round))
+                .collect();
+            hear_all(&mut nodes, said.iter());
+            if round == 1 {
+                for node in &nodes {
+                    let usable_count = peer_role(node).localizer().landmark_count();
+                    assert_eq!(usable_count, ring.len(), "everybody uses everybody");
+                }
+            }
+            for (idx, node) in nodes.iter().enumerate() {
+                // The ground vehicle was heard first, then the others in the order of the ring.
+                let next = (idx + 1) % ring.len();
+                let next = AnchorIdx(1 + next as u32 - u32::from(next > idx));
+                let used = [AnchorIdx(0), next];
+                named[idx].extend(peer_role(node).provenance_of(&used));
+            }
+        }
+        for node in &nodes {
+            let role = peer_role(node);
+            assert_eq!(
+                role.localizer().landmark_count(),
+                1,
+                "the ground vehicle is left"
+            );
+            assert!(role.circular_count() > 0);
+        }
+    }
+}
+
+/// A chunk may say so before its map's placement does.
+#[test]
+fn the_first_word_that_a_map_rests_on_the_own_one_counts_for_all_of_it() {
+    let mut nodes = [peer()];
+    let early = registered("drone2", &BTreeSet::from([vehicle("ugv1")]), 1);
+    hear_all(&mut nodes, [&early].into_iter());
+    assert_eq!(peer_role(&nodes[0]).localizer().landmark_count(), 1);
+    let (_, later) = registered("drone2", &BTreeSet::from([vehicle("drone1")]), 2);
+    let key = Key::Chunk(later.id().clone());
+    hear(&mut nodes[0], &key, encode(&later));
+    assert_eq!(peer_role(&nodes[0]).localizer().landmark_count(), 0);
 }
 
 #[test]
