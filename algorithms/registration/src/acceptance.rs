@@ -1,11 +1,11 @@
 //! Whether an alignment is supported by the clouds, and in which directions it is not.
 
-use geometry::{Matrix7, RobustKernel, Similarity, Tangent7};
+use geometry::{Matrix7, Similarity, Tangent7};
 use nalgebra::{SMatrix, SymmetricEigen, Vector3};
 
 use crate::alignment::{Metric, Quality, Refusal, Source, Target};
 use crate::cloud::{ShapedCloud, to_single};
-use crate::icp::{Icp, NormalEquations, Pair, overlap_of_target};
+use crate::icp::{Icp, Pair, cost, overlap_of_target};
 use crate::median::median;
 
 /// Of the larger and of the smaller of the two overlaps.
@@ -59,10 +59,9 @@ pub(crate) fn measure(
     let mut distances: Vec<f32> = pairs.iter().map(|pair| pair.distance_squared).collect();
     let overlap_source = pairs.len() as f64 / source.points.len().max(1) as f64;
     let overlap_target = overlap_of_target(source, target, alignment, width);
-    let kernel = RobustKernel::None;
     let stride = pairs.len().div_ceil(PAIR_COUNT_MAX).max(1);
     let pairs: Vec<Pair> = pairs.iter().copied().step_by(stride).collect();
-    let squares = NormalEquations::sum(source, target, alignment, &pairs, metric, kernel).cost;
+    let squares = cost(source, target, alignment, &pairs, metric);
     let rotation = alignment.rotation().inverse();
     let mut surface_squares = 0.0;
     let mut surfaces = SurfaceInformation::default();

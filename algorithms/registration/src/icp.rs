@@ -18,7 +18,7 @@ use geometry::{RobustKernel, Similarity, Tangent7};
 use crate::alignment::{Metric, Source, Target};
 use crate::cloud::{ShapedCloud, to_single};
 
-pub(crate) use linearise::NormalEquations;
+pub(crate) use linearise::{NormalEquations, cost};
 pub(crate) use pairs::{Pair, Pairing, overlap_of_target};
 
 /// The kernel's width narrows by this factor in each iteration.
@@ -92,7 +92,8 @@ pub(crate) fn iterate(
         let all = icp.pairing;
         icp.pairing = all.sampled(COARSE_POINT_COUNT);
         icp.settle(source, target, start, settings, &mut widths)?;
-        icp.pairing = all;
+        let sampled = std::mem::replace(&mut icp.pairing, all);
+        icp.pairing.learn_from(&sampled, COARSE_POINT_COUNT);
         icp.converged = false;
     }
     icp.settle(source, target, start, settings, &mut widths)?;

@@ -2,8 +2,8 @@
 
 /// Points in a leaf; a leaf's distances are computed together.
 const LEAF_SIZE: usize = 16;
-/// Deeper than any tree of 2³² points: each level halves.
-const STACK_SIZE: usize = 64;
+/// Deeper than any tree of 2³² points: each level halves, down to a leaf.
+const STACK_SIZE: usize = 32;
 /// Marks a node as a leaf.
 const LEAF_AXIS: u32 = 3;
 
@@ -99,6 +99,9 @@ impl KdTree {
             query,
             |leaf, _| {
                 let distances = leaf.distances_squared(query);
+                if !any_below(&distances, best.distance_squared) {
+                    return best.distance_squared;
+                }
                 for (distance_squared, idx) in distances.into_iter().zip(leaf.idx) {
                     if distance_squared < best.distance_squared {
                         best = Neighbour {
@@ -126,6 +129,9 @@ impl KdTree {
             query,
             |leaf, _| {
                 let distances = leaf.distances_squared(query);
+                if !any_below(&distances, second.distance_squared) {
+                    return second.distance_squared;
+                }
                 for (distance_squared, idx) in distances.into_iter().zip(leaf.idx) {
                     let one = Neighbour {
                         idx,
@@ -156,6 +162,9 @@ impl KdTree {
             |leaf, limit| {
                 let mut limit = limit;
                 let distances = leaf.distances_squared(query);
+                if !any_below(&distances, limit) {
+                    return limit;
+                }
                 for (distance_squared, idx) in distances.into_iter().zip(leaf.idx) {
                     if distance_squared.is_nan() || distance_squared >= limit {
                         continue;
@@ -190,6 +199,9 @@ impl KdTree {
             query,
             |leaf, _| {
                 let distances = leaf.distances_squared(query);
+                if !any_below(&distances, limit) {
+                    return limit;
+                }
                 let near = distances.into_iter().zip(leaf.idx);
                 found.extend(near.filter(|(squared, _)| *squared < limit).map(
                     |(distance_squared, idx)| Neighbour {
@@ -331,6 +343,13 @@ impl Leaf {
         }
         distances
     }
+}
+
+/// Asked of all at once, since most leaves that are visited hold nothing nearer.
+#[inline]
+fn any_below(distances: &[f32; LEAF_SIZE], limit: f32) -> bool {
+    let below = distances.iter();
+    below.fold(false, |any, distance| any | (*distance < limit))
 }
 
 fn longest_side(points: &[[f32; 3]], order: &[u32]) -> usize {

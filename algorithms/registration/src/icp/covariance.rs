@@ -4,7 +4,7 @@ use geometry::{Matrix7, Tangent7};
 use nalgebra::{DMatrix, SMatrix, SymmetricEigen, Vector3};
 
 use super::Icp;
-use super::linearise::{NormalEquations, Sums, Term, step_in_target, terms};
+use super::linearise::{NormalEquations, Sums, Term, gradient, step_in_target, terms};
 use super::pairs::Pair;
 use crate::alignment::Metric;
 use crate::cloud::ShapedCloud;
@@ -44,16 +44,11 @@ impl Icp {
         let alignment = &self.target_from_source;
         let edge = CLUSTER_SPACINGS * target.spacing.max(source.spacing * alignment.scale());
         let all = &self.pairing.pairs;
-        let mut clustered: Vec<(u64, u32)> = Vec::with_capacity(all.len());
-        clustered.extend(all.iter().zip(0..).map(|(pair, idx)| {
-            let place = &target.points[pair.target_idx as usize];
-            (cube(place, edge), idx)
-        }));
-        clustered.sort_unstable();
-        let pairs: Vec<Pair> = clustered.iter().map(|one| all[one.1 as usize]).collect();
+        let cube_of = |pair: &Pair| cube(&target.points[pair.target_idx as usize], edge);
+        let (pairs, cluster_sizes) = clustered(all, cube_of);
         let mut sums = Sums::default();
-        let mut spread = Spread::default();
-        let mut clusters = clustered.chunk_by(|a, b| a.0 == b.0).map(<[_]>::len);
+        let mut spread = Spread::of(cluster_sizes.len());
+        let mut clusters = cluster_sizes.into_iter();
         let mut left_count = 0;
         let collect = |term: Term| {
             sums.add(&term);
@@ -95,12 +90,14 @@ impl Icp {
             Metric::Point => SAMPLE_COUNT_OF_POINTS,
             Metric::Plane | Metric::Gicp => SAMPLE_COUNT,
         });
-        let mut sum_at = |step: &Tangent7| {
+        pairing.renew(source, target, alignment, self.gate);
+        let (pairs, kernel) = (&pairing.pairs, self.kernel);
+        let normal = NormalEquations::sum(source, target, alignment, pairs, metric, kernel);
+        let mut gradient_at = |step: &Tangent7| {
             let moved = alignment.perturbed(step);
             pairing.renew(source, target, &moved, self.gate);
-            NormalEquations::sum(source, target, &moved, &pairing.pairs, metric, self.kernel)
+            gradient(source, target, &moved, &pairing.pairs, metric, kernel)
         };
-        let hessian = sum_at(&Tangent7::zeros()).hessian;
         let step_m = TRIAL_SPACINGS * source.spacing.max(target.spacing / alignment.scale());
         let turn = (step_m / source.radius).min(TRIAL_TURN_MAX);
         let steps = [turn, step_m, turn];
@@ -108,11 +105,35 @@ impl Icp {
         for axis in 0..freedom {
             let mut step = Tangent7::zeros();
             step[axis] = steps[axis / 3];
-            let apart = sum_at(&step).gradient - sum_at(&-step).gradient;
+            let apart = gradient_at(&step) - gradient_at(&-step);
             change.set_column(axis, &(apart / (2.0 * step[axis])));
         }
-        [change, hessian]
+        [change, normal.hessian]
     }
+}
+
+/// The pairs cube by cube, and how many are in each: neighbours come one after the other, so that
+/// there are few runs to sort.
+fn clustered(all: &[Pair], cube_of: impl Fn(&Pair) -> u64) -> (Vec<Pair>, Vec<usize>) {
+    let mut runs: Vec<(u64, usize, usize)> = Vec::with_capacity(all.len());
+    for (idx, pair) in all.iter().enumerate() {
+        let cube = cube_of(pair);
+        match runs.last_mut() {
+            Some((last, _, end)) if *last == cube => *end = idx + 1,
+            _ => runs.push((cube, idx, idx + 1)),
+        }
+    }
+    runs.sort_unstable();
+    let mut pairs = Vec::with_capacity(all.len());
+    let mut sizes = Vec::with_capacity(runs.len());
+    for cluster in runs.chunk_by(|a, b| a.0 == b.0) {
+        let before = pairs.len();
+        for (_, start, end) in cluster {
+            pairs.extend_from_slice(&all[*start..*end]);
+        }
+        sizes.push(pairs.len() - before);
+    }
+    (pairs, sizes)
 }
 
 /// What the gradients of all pairs add up to by chance.
@@ -123,9 +144,19 @@ struct Spread {
     pair_count: f64,
     cluster_count: f64,
     cluster: Tangent7,
+    /// So much of what all pairs might have in common is taken, 0 to 1.
+    doubt: f64,
 }
 
 impl Spread {
+    fn of(cluster_count: usize) -> Self {
+        let [few, enough] = CLUSTER_COUNTS;
+        Self {
+            doubt: ((enough - cluster_count as f64) / (enough - few)).clamp(0.0, 1.0),
+            ..Self::default()
+        }
+    }
+
     fn begin_cluster(&mut self) {
         self.of_clusters += self.cluster * self.cluster.transpose();
         self.cluster.fill(0.0);
@@ -134,7 +165,9 @@ impl Spread {
 
     fn add(&mut self, gradient: &Tangent7) {
         self.cluster += gradient;
-        self.of_pairs += gradient * gradient.transpose();
+        if self.doubt > 0.0 {
+            self.of_pairs += gradient * gradient.transpose();
+        }
         self.pair_count += 1.0;
     }
 
@@ -147,9 +180,7 @@ impl Spread {
         let rest = (cluster_count - freedom as f64).max(1.0);
         let unbiased = self.of_clusters * (cluster_count / rest).powi(2);
         let in_common = self.of_pairs * (self.pair_count / cluster_count.max(1.0));
-        let [few, enough] = CLUSTER_COUNTS;
-        let doubt = ((enough - cluster_count) / (enough - few)).clamp(0.0, 1.0);
-        unbiased * (1.0 - doubt) + in_common * doubt
+        unbiased * (1.0 - self.doubt) + in_common * self.doubt
     }
 }
 
@@ -197,7 +228,7 @@ mod tests {
 
     /// So many clusters of ten equal gradients along one axis each, and what they say of the axes.
     fn variances(cluster_count: usize) -> Tangent7 {
-        let mut spread = Spread::default();
+        let mut spread = Spread::of(cluster_count);
         for cluster in 0..cluster_count {
             spread.begin_cluster();
             for _ in 0..10 {
@@ -205,6 +236,19 @@ mod tests {
             }
         }
         spread.estimate(6).diagonal()
+    }
+
+    #[test]
+    fn pairs_of_a_cube_come_together() {
+        let pair = |source_idx| Pair {
+            source_idx,
+            target_idx: source_idx % 3,
+            distance_squared: 0.0,
+        };
+        let all: Vec<Pair> = (0..8).map(pair).collect();
+        let (pairs, sizes) = clustered(&all, |pair| u64::from(pair.target_idx) % 2);
+        let order: Vec<u32> = pairs.iter().map(|pair| pair.source_idx).collect();
+        assert_eq!((order, sizes), (vec![0, 2, 3, 5, 6, 1, 4, 7], vec![5, 3]));
     }
 
     /// Goal: what pairs have in common counts, whether there are clusters enough to tell or not.
@@ -220,7 +264,7 @@ mod tests {
     /// Goal: clusters that cancel out, as few do where a fit ended, do not seem certain.
     #[test]
     fn two_opposite_clusters_are_doubted() {
-        let mut spread = Spread::default();
+        let mut spread = Spread::of(2);
         for side in [1.0, -1.0] {
             spread.begin_cluster();
             for axis in 0..7 {

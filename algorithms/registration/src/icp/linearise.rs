@@ -18,7 +18,6 @@ use crate::cloud::ShapedCloud;
 pub(crate) struct NormalEquations {
     pub hessian: Matrix7,
     pub gradient: Tangent7,
-    pub cost: f64,
 }
 
 /// One pair's part of the normal equations, in the target's axes: turned there together at the
@@ -58,6 +57,52 @@ impl NormalEquations {
         );
         sums.assemble(target_from_source)
     }
+}
+
+/// The gradient of [`NormalEquations`] alone.
+pub(crate) fn gradient(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    target_from_source: &Similarity<Target, Source>,
+    pairs: &[Pair],
+    metric: Metric,
+    kernel: RobustKernel,
+) -> Tangent7 {
+    let mut sum = Tangent7::zeros();
+    let add = |term: Term| sum += term.gradient();
+    terms(
+        source,
+        target,
+        target_from_source,
+        pairs,
+        metric,
+        kernel,
+        add,
+    );
+    step_in_target(target_from_source).transpose() * sum
+}
+
+/// The cost of pairs that all count in full.
+pub(crate) fn cost(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    target_from_source: &Similarity<Target, Source>,
+    pairs: &[Pair],
+    metric: Metric,
+) -> f64 {
+    let kernel = RobustKernel::None;
+    let mut cost = 0.0;
+    let add = |term: Term| cost += term.cost;
+    terms(
+        source,
+        target,
+        target_from_source,
+        pairs,
+        metric,
+        kernel,
+        add,
+    );
+    cost
 }
 
 /// Calls `visit` with the term of each pair in turn.
@@ -136,7 +181,6 @@ pub(crate) struct Sums {
     turn_force: Vector3<f64>,
     force: Vector3<f64>,
     scale_force: f64,
-    cost: f64,
 }
 
 impl Sums {
@@ -153,14 +197,10 @@ impl Sums {
         self.turn_force += term.point.cross(&term.force);
         self.force += term.force;
         self.scale_force += term.middle.dot(&term.force);
-        self.cost += term.cost;
     }
 
     pub fn assemble(&self, target_from_source: &Similarity<Target, Source>) -> NormalEquations {
-        let mut sums = NormalEquations {
-            cost: self.cost,
-            ..NormalEquations::default()
-        };
+        let mut sums = NormalEquations::default();
         let hessian = &mut sums.hessian;
         hessian
             .fixed_view_mut::<3, 3>(0, 0)
@@ -237,12 +277,15 @@ mod tests {
         let mut pairing = Pairing::new(&source, &target, &start, Some(1.0));
         pairing.renew(&source, &target, &start, 1.0);
         for metric in [Metric::Point, Metric::Plane] {
-            let sum = |at: &Similarity<Target, Source>| {
-                let pairs = &pairing.pairs;
-                NormalEquations::sum(&source, &target, at, pairs, metric, RobustKernel::None)
+            let pairs = &pairing.pairs;
+            let cost = |at: &Similarity<Target, Source>| {
+                cost(&source, &target, at, pairs, metric) / at.scale()
             };
-            let cost = |at: &Similarity<Target, Source>| sum(at).cost / at.scale();
-            let analytic = sum(&start).gradient / start.scale();
+            let kernel = RobustKernel::None;
+            let sum = NormalEquations::sum(&source, &target, &start, pairs, metric, kernel);
+            let alone = gradient(&source, &target, &start, pairs, metric, kernel);
+            assert!((alone - sum.gradient).amax() < 1e-9 * sum.gradient.amax());
+            let analytic = sum.gradient / start.scale();
             for axis in 0..7 {
                 let mut step = Tangent7::zeros();
                 step[axis] = 1e-6;

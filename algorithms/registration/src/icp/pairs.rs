@@ -50,10 +50,26 @@ impl Seekers {
         }
     }
 
-    /// About so many of them, evenly.
+    fn stride(&self, count: usize) -> usize {
+        self.members.len().div_ceil(count).max(1)
+    }
+
+    /// About so many of them, evenly, with what they know.
     fn sampled(&self, count: usize) -> Self {
-        let stride = self.members.len().div_ceil(count).max(1);
-        Self::new(self.members.iter().copied().step_by(stride).collect())
+        let stride = self.stride(count);
+        Self {
+            members: self.members.iter().copied().step_by(stride).collect(),
+            states: self.states.iter().copied().step_by(stride).collect(),
+        }
+    }
+
+    /// Takes over what so many of them have learned.
+    fn learn_from(&mut self, sampled: &Self, count: usize) {
+        let stride = self.stride(count);
+        let states = self.states.iter_mut().step_by(stride);
+        for (state, learned) in states.zip(&sampled.states) {
+            *state = *learned;
+        }
     }
 
     /// Calls `found` with each point that has a partner within `gate`, the partner, and their
@@ -164,6 +180,14 @@ impl Pairing {
         )
     }
 
+    /// Spares those that were sampled to search again.
+    pub fn learn_from(&mut self, sampled: &Self, count: usize) {
+        self.of_source.learn_from(&sampled.of_source, count);
+        if let (Some(of_target), Some(sampled)) = (&mut self.of_target, &sampled.of_target) {
+            of_target.learn_from(sampled, count);
+        }
+    }
+
     /// How many points seek a partner.
     pub fn seeking_count(&self) -> usize {
         let of_target = self.of_target.as_ref();
@@ -258,4 +282,51 @@ fn bounds_of_aligned(
 
 fn is_between(point: &Vector3<f64>, lowest: &Vector3<f64>, highest: &Vector3<f64>) -> bool {
     (0..3).all(|axis| lowest[axis] <= point[axis] && point[axis] <= highest[axis])
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+    use crate::cloud::Cloud;
+
+    /// Goal: what was learned spares searches and changes nothing. Method: a sample follows the
+    /// clouds for some steps and teaches the rest; the pairs are those of a search from scratch.
+    #[test]
+    fn pairs_are_the_same_whoever_has_searched_before() {
+        let wall = |idx: u32, shift: f64| {
+            let (x, y) = (f64::from(idx % 40) + shift, f64::from(idx / 40));
+            Vector3::new(0.1 * x, 0.1 * y, 0.2 * (0.3 * x).sin() * (0.2 * y).cos())
+        };
+        let cloud = |shift| Cloud::from_points((0..1200).map(|idx| wall(idx, shift)).collect());
+        let source = ShapedCloud::new(&cloud(0.0), None);
+        let target = ShapedCloud::new(&cloud(0.37), None);
+        let at = |step: f64| -> Similarity<Target, Source> {
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.01, 0.03) * step);
+            Similarity::new(
+                1.0 + 0.01 * step,
+                turn,
+                Vector3::new(0.02, -0.01, 0.0) * step,
+            )
+        };
+        let new = || Pairing::new(&source, &target, &at(3.0), Some(1.0));
+        let mut taught = new();
+        let mut sampled = taught.sampled(100);
+        for step in [3.0, 2.0, 1.2] {
+            sampled.renew(&source, &target, &at(step), 0.3);
+        }
+        taught.learn_from(&sampled, 100);
+        let mut fresh = new();
+        for (step, gate) in [(1.0, 0.3), (0.9, 0.15), (0.0, 0.4)] {
+            let pairs = [&mut taught, &mut fresh].map(|pairing| {
+                pairing.renew(&source, &target, &at(step), gate);
+                let pairs = pairing.pairs.iter();
+                let pairs = pairs.map(|one| (one.source_idx, one.target_idx));
+                pairs.collect::<Vec<_>>()
+            });
+            assert!(pairs[0].len() > 1000 && pairs[0] == pairs[1], "{step}");
+            fresh = new();
+        }
+    }
 }
