@@ -157,7 +157,16 @@ fn keyframe_alignment(criterion: &mut Criterion) {
     criterion.bench_function("prepare/shapes/1500", |bencher| {
         bencher.iter(|| black_box(ShapedCloud::new(&keyframe, None)));
     });
+    let with_scale = RegisterSettings {
+        with_scale: true,
+        ..RegisterSettings::default()
+    };
+    criterion.bench_function("align/keyframe_prepared_anew/1500_in_20k", |bencher| {
+        bencher.iter(|| black_box(align(&ShapedCloud::new(&keyframe, None), &map, &with_scale)));
+    });
     let keyframe = ShapedCloud::new(&keyframe, None);
+    let outcome = align(&keyframe, &map, &with_scale);
+    assert!(matches!(outcome, Outcome::Accepted(_)), "{outcome:?}");
     for (name, with_scale) in [("rigid", false), ("with_scale", true)] {
         let settings = RegisterSettings {
             with_scale,

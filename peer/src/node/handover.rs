@@ -322,7 +322,7 @@ mod tests {
             let slowed_down = (seconds - 2.0).clamp(0.0, 1.0);
             let way_m = 1.5 * sped_up * sped_up + 3.0 * (seconds.clamp(1.0, 3.0) - 1.0)
                 - 1.5 * slowed_down * slowed_down;
-            way_m + if idx % 2 == 0 { 0.01 } else { -0.01 }
+            way_m + if idx.is_multiple_of(2) { 0.01 } else { -0.01 }
         };
         assert_eq!(jump_count((0..40).map(|idx| (None, Some(east_m(idx))))), 0);
         // Out of sight for two seconds.
