@@ -31,6 +31,7 @@ pub enum RobustKernel {
 
 impl RobustKernel {
     /// The weight of a squared, whitened residual in iteratively reweighted least squares.
+    #[inline]
     pub fn weight(self, residual_squared: f64) -> f64 {
         match self {
             Self::None => 1.0,

@@ -93,8 +93,10 @@ impl Icp {
         pairing.renew(source, target, alignment, self.gate);
         let (pairs, kernel) = (&pairing.pairs, self.kernel);
         let normal = NormalEquations::sum(source, target, alignment, pairs, metric, kernel);
-        let mut gradient_at = |step: &Tangent7| {
+        let gradient_at = |step: &Tangent7| {
             let moved = alignment.perturbed(step);
+            // From rest partners are nearer than from the last trial.
+            let mut pairing = pairing.clone();
             pairing.renew(source, target, &moved, self.gate);
             gradient(source, target, &moved, &pairing.pairs, metric, kernel)
         };

@@ -45,12 +45,15 @@ impl PairMetric for PointToPlane {
 }
 
 impl PairMetric for PlaneToPlane {
+    #[inline]
     fn information(source: &Shape, target: &Shape, rotation: &Matrix3<f64>) -> Matrix3<f64> {
-        let across = [target.normal, source.normal.map(|normal| rotation * normal)];
         let mut sum = Matrix3::identity() * 2.0;
-        for normal in across.into_iter().flatten() {
-            let scaled = normal * (1.0 - PLANE_THICKNESS);
-            sum -= scaled * normal.transpose();
+        if let Some(normal) = target.normal {
+            sum -= normal * (1.0 - PLANE_THICKNESS) * normal.transpose();
+        }
+        if let Some(normal) = source.normal {
+            let normal = rotation * normal;
+            sum -= normal * (1.0 - PLANE_THICKNESS) * normal.transpose();
         }
         if source.noise_known || target.noise_known {
             sum += noise(source, target, rotation);
@@ -65,6 +68,7 @@ fn noise(source: &Shape, target: &Shape, rotation: &Matrix3<f64>) -> Matrix3<f64
 }
 
 /// The inverse of a symmetric positive matrix, by its cofactors.
+#[inline]
 fn inverse(matrix: &Matrix3<f64>) -> Matrix3<f64> {
     let [a, b, c] = [matrix[(0, 0)], matrix[(0, 1)], matrix[(0, 2)]];
     let [d, e, f] = [matrix[(1, 1)], matrix[(1, 2)], matrix[(2, 2)]];
