@@ -96,6 +96,7 @@ pub(crate) fn measure(
         residual_contrast: contrast(source, target, alignment, width),
         weak_directions: weak_directions(&surfaces.mean(), with_scale),
         evidence: None,
+        likeness: None,
     }
 }
 

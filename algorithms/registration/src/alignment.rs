@@ -4,6 +4,7 @@ use geometry::{Matrix7, Similarity};
 
 use crate::evidence::Evidence;
 use crate::gravity::Gravity;
+use crate::likeness::Likeness;
 
 /// The frame of the cloud that is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,6 +109,8 @@ pub struct Quality {
     pub weak_directions: Vec<String>,
     /// What the search found; `None` without one.
     pub evidence: Option<Evidence>,
+    /// How much of the common part looks alike; `None` without a search by appearance.
+    pub likeness: Option<Likeness>,
 }
 
 /// Why a registration was refused.
@@ -143,6 +146,10 @@ pub enum Refusal {
     /// What looks the same lies in one spot, and may stand elsewhere too.
     NarrowEvidence {
         spread: f64,
+    },
+    /// Some things look the same, and where both clouds have been, too much else does not.
+    AnotherPlace {
+        extent: f64,
     },
     /// What was found by shape alone must fit better than what is known from elsewhere.
     ShapeAlone {
@@ -195,6 +202,12 @@ impl std::fmt::Display for Refusal {
                 f,
                 "what looks the same covers {:.0} % of the source's width, and may recur",
                 spread * 100.0
+            ),
+            Self::AnotherPlace { extent } => write!(
+                f,
+                "a place that shares some things: the clouds look alike over {:.0} % of what both \
+                 show",
+                extent * 100.0
             ),
             Self::ShapeAlone { residual_contrast } => write!(
                 f,

@@ -1,10 +1,6 @@
 //! What speaks for an alignment beside how well the clouds fit in the end.
 
-use nalgebra::Vector3;
-
 use crate::alignment::Refusal;
-use crate::cloud::to_single;
-use crate::kd_tree::KdTree;
 
 /// Where correspondences come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,55 +109,6 @@ pub(crate) fn false_alarms_log10(offered: usize, consistent: usize, chance: f64)
     sample_log10 - others * divergence / std::f64::consts::LN_10
 }
 
-/// How evenly those that agree lie among all that should.
-///
-/// Where two views differ, agreement is thin everywhere; where two places share a cupboard and a
-/// poster, it is dense on these and absent elsewhere.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Evenness {
-    pub count: usize,
-    /// Of all, those that agree.
-    pub share: f64,
-    /// The same among the neighbours of those that agree.
-    pub share_nearby: f64,
-}
-
-/// Neighbours that are asked.
-const NEIGHBOUR_COUNT: usize = 8;
-/// Of those that should agree, fewer do so by chance alone, anywhere.
-const CHANCE_SHARE: f64 = 0.05;
-
-impl Evenness {
-    pub(crate) fn of(points: &[Vector3<f64>], agree: &[bool]) -> Self {
-        let single: Vec<[f32; 3]> = points.iter().map(to_single).collect();
-        let tree = KdTree::new(&single);
-        let (mut agreeing_count, mut neighbour_count, mut agreeing_neighbour_count) = (0, 0, 0);
-        let mut found = Vec::new();
-        for (idx, point) in single.iter().enumerate().filter(|(idx, _)| agree[*idx]) {
-            agreeing_count += 1;
-            tree.nearest_many(*point, NEIGHBOUR_COUNT + 1, &mut found);
-            for neighbour in found.iter().filter(|one| one.idx as usize != idx) {
-                neighbour_count += 1;
-                agreeing_neighbour_count += usize::from(agree[neighbour.idx as usize]);
-            }
-        }
-        let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
-        Self {
-            count: points.len(),
-            share: share(agreeing_count, points.len()),
-            share_nearby: share(agreeing_neighbour_count, neighbour_count),
-        }
-    }
-
-    /// The share of the place that agreement extends over, 0 to 1.
-    pub fn extent(&self) -> f64 {
-        if self.share < CHANCE_SHARE {
-            return 0.0;
-        }
-        (self.share / self.share_nearby.max(1e-9)).min(1.0)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -174,25 +121,6 @@ mod tests {
         // Three always agree.
         assert!(false_alarms_log10(3, 3, 1e-3) > -0.1);
         assert!(false_alarms_log10(10, 10, 1e-3) < -15.0);
-    }
-
-    /// Goal: thin agreement is told from patches. Method: points on a wall of which every third
-    /// agrees, or all in a quarter of it, or hardly any.
-    #[test]
-    fn what_agrees_here_and_there_extends_over_all_and_a_poster_does_not() {
-        let points: Vec<Vector3<f64>> = (0..900)
-            .map(|idx| Vector3::new(f64::from(idx % 30), f64::from(idx / 30), 0.0))
-            .collect();
-        let extent = |agrees: &dyn Fn(usize) -> bool| {
-            let agree: Vec<bool> = (0..900).map(agrees).collect();
-            Evenness::of(&points, &agree).extent()
-        };
-        assert!(extent(&|idx| idx * 7919 % 97 < 32) > 0.8);
-        let in_quarter = |idx: usize| idx % 30 < 15 && idx < 450;
-        assert!((0.2..0.3).contains(&extent(&in_quarter)));
-        let thin_quarter = |idx: usize| in_quarter(idx) && idx * 7919 % 97 < 60;
-        assert!((0.2..0.36).contains(&extent(&thin_quarter)));
-        assert_eq!(extent(&|idx| idx.is_multiple_of(60)), 0.0);
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod evidence;
 mod gravity;
 mod icp;
 pub mod kd_tree;
+mod likeness;
 pub mod localizer;
 mod median;
 pub mod register;
@@ -16,8 +17,9 @@ pub use alignment::{
     Alignment, Metric, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target,
 };
 pub use cloud::{Cloud, Descriptors, ShapedCloud, is_usable};
-pub use evidence::{Clue, Evenness, Evidence};
+pub use evidence::{Clue, Evidence};
 pub use gravity::Gravity;
+pub use likeness::Likeness;
 pub use localizer::{
     AlignmentReport, AnchorIdx, ChunkIdx, CorrectedKeyframe, Estimate, FrameLocation,
     FrameObservation, KeyframeIdx, KeyframeObservation, Landmark, Localizer, LocalizerSettings,

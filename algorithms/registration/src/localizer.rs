@@ -175,11 +175,13 @@ impl Localizer {
         self.accepted_count += u64::from(verdict == Verdict::Accepted);
         let overruled = reports.iter().any(|report| report.overruled);
         self.overruled_count += u64::from(overruled);
+        let revoked = reports.iter().any(|report| report.revoked);
         AlignmentReport {
             verdict,
             anchors: reports,
             jumped: self.fuse_votes(),
             overruled,
+            revoked,
         }
     }
 

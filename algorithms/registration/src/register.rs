@@ -1,16 +1,17 @@
 //! One registration of two clouds, from preparation to verdict.
 
 use geometry::{Similarity, Transform};
-use nalgebra::UnitQuaternion;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::acceptance::{judge, measure};
 use crate::alignment::{
     Alignment, Outcome, Quality, Refusal, RegisterSettings, Source, Start, Target,
 };
-use crate::cloud::{Cloud, ShapedCloud};
+use crate::cloud::{Cloud, Descriptors, ShapedCloud};
 use crate::evidence::Clue;
 use crate::icp::{Icp, IcpSettings, iterate};
-use crate::search::{self, Found};
+use crate::likeness::{EXTENT_MIN, Likeness, Things};
+use crate::search::{self, Found, middle_radius};
 
 /// Aligns `source` to `target`.
 ///
@@ -116,6 +117,9 @@ fn verdict(
         .and_then(|found| found.agreement.as_ref());
     let mut quality = measure(source, target, icp, settings.metric, settings.with_scale);
     quality.evidence = found.map(|found| found.evidence);
+    if found.is_some_and(|found| found.agreement.is_some()) {
+        quality.likeness = likeness(source, target, &icp.target_from_source);
+    }
     if by_correspondences.is_some() {
         // What surfaces leave free, points that are the same fix.
         quality.weak_directions.clear();
@@ -163,7 +167,47 @@ fn judge_evidence(quality: &Quality) -> Result<(), Refusal> {
             residual_contrast: quality.residual_contrast,
         });
     }
-    Ok(())
+    match quality.likeness {
+        // Nothing more will come, so that the likelier counts.
+        Some(likeness) if likeness.count > 0 && likeness.extent < EXTENT_MIN => {
+            Err(Refusal::AnotherPlace {
+                extent: likeness.extent,
+            })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// How far a point may be from itself in the other cloud, relative to the middle radius of the
+/// smaller one.
+const REACH: f64 = 0.08;
+/// Bits that may differ between two looks of one thing.
+const BITS_MAX: u32 = 64;
+
+/// How much of what both clouds show looks alike; `None` without binary descriptors.
+fn likeness(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    target_from_source: &Similarity<Target, Source>,
+) -> Option<Likeness> {
+    let (Descriptors::Binary(of_source), Descriptors::Binary(of_target)) =
+        (&source.descriptors, &target.descriptors)
+    else {
+        return None;
+    };
+    let moved = source
+        .points
+        .iter()
+        .map(|point| *target_from_source * *point);
+    let moved: Vec<Vector3<f64>> = moved.collect();
+    let radius = middle_radius(&source.points) * target_from_source.scale();
+    let reach = REACH * radius.min(middle_radius(&target.points));
+    let ours = Things::new(&moved, of_source);
+    let theirs = Things::new(&target.points, of_target);
+    Some(Likeness::of([
+        ours.sought_in(&theirs, reach, BITS_MAX),
+        theirs.sought_in(&ours, reach, BITS_MAX),
+    ]))
 }
 
 /// An alignment of the clouds as one of the centred clouds.

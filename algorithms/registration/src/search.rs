@@ -123,7 +123,7 @@ fn seen<'a, D>(cloud: &'a ShapedCloud, descriptors: &'a [D]) -> Seen<'a, D> {
 }
 
 /// The median distance from the centre, which few far points do not move.
-fn middle_radius(points: &[Vector3<f64>]) -> f64 {
+pub(crate) fn middle_radius(points: &[Vector3<f64>]) -> f64 {
     let mut distances: Vec<f64> = points.iter().map(Vector3::norm).collect();
     median(&mut distances, f64::total_cmp).unwrap_or(0.0)
 }

@@ -226,6 +226,12 @@ impl PeerRole {
 
     /// Says what an operator should know of an alignment.
     fn report(&mut self, alignment: &AlignmentReport) {
+        if alignment.revoked {
+            tracing::warn!(
+                "the alignment was wrong: too much of what both maps show looks different; another \
+                 one is sought"
+            );
+        }
         if alignment.overruled {
             tracing::warn!(
                 jumped = alignment.jumped,

@@ -78,11 +78,12 @@ impl Anchor {
             anchor: idx,
             verdict,
             overruled: had_track && admission == Some(Admission::Founds),
+            revoked: admission == Some(Admission::Revokes),
             chunk_count: effort.chunk_count,
             candidate_count: effort.candidate_count,
             match_count: effort.match_count,
             inlier_count: effort.inlier_count,
-            evenness: self.track.evenness,
+            likeness: self.track.likeness,
         }
     }
 
@@ -108,12 +109,15 @@ impl Anchor {
             captured_at: keyframe.captured_at,
             map_from_camera: keyframe.map_from_camera,
             located,
-            witnesses: Vec::new(),
+            testimony: None,
         };
-        let admission = self.track.admit(entry, features, &self.landmarks, settings);
+        let admission = self
+            .track
+            .admit(entry, (keyframe, features), &self.landmarks, settings);
         let verdict = match admission {
             Admission::Agrees | Admission::Founds => Verdict::Accepted,
             Admission::Waits => Verdict::Unconfirmed,
+            Admission::Revokes => Verdict::Refused(Refusal::Contradicted),
         };
         (verdict, Some(admission))
     }

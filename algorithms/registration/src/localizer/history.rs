@@ -157,7 +157,7 @@ impl Localizer {
                 captured_at: keyframe.captured_at,
                 map_from_camera: *map_from_camera,
                 located,
-                witnesses: Vec::new(),
+                testimony: None,
             };
             let step = Step::new(&state, &entry, &anchor.landmarks, &self.settings);
             if let Some(step) = step

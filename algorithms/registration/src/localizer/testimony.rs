@@ -1,16 +1,16 @@
-//! What landmarks say that should be in view: rooms that look alike share some things exactly and
-//! others not at all.
+//! What a keyframe says of a place that it was located in: which landmarks should be in view and
+//! are, and what it sees itself that the anchor should have seen.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use features::Descriptor;
-use geometry::{Camera, Transform};
+use geometry::{Camera, Similarity, Transform};
 use nalgebra::Vector3;
 
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::matching::{FeatureIndex, View};
-use super::types::{ChunkIdx, LocalizerSettings};
-use crate::evidence::Evenness;
+use super::types::{ChunkIdx, KeyframeObservation, LocalizerSettings};
+use crate::likeness::{Evenness, Likeness, Things};
 
 /// Only landmarks seen from nearly where they were seen first: cosine of the angle, and how many
 /// times nearer or farther.
@@ -20,12 +20,21 @@ const DISTANCE_FACTOR_MAX: f64 = 3.0;
 /// the picture shows nothing.
 const TEXTURE_RADIUS: f64 = 0.03;
 const TEXTURE_COUNT_MIN: usize = 3;
-/// Fewer landmarks say nothing.
-const WITNESS_COUNT_MIN: usize = 30;
+/// How far a point of the own map may be from the landmark that it is, in depths of the scene.
+const REACH_DEPTHS: f64 = 0.04;
+/// Own points nearer to each other, in depths of the scene, are one that several keyframes saw.
+const SAME_DEPTHS: f64 = 0.004;
+
+/// What one keyframe says.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Testimony {
+    landmarks: Vec<Witness>,
+    own_points: Vec<OwnPoint>,
+}
 
 /// A landmark that a keyframe should show.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Witness {
+struct Witness {
     chunk: ChunkIdx,
     landmark_idx: u32,
     point: Vector3<f64>,
@@ -33,8 +42,56 @@ pub(super) struct Witness {
     agrees: bool,
 }
 
+/// A point of the own map that a keyframe shows.
+#[derive(Clone, Copy, Debug)]
+struct OwnPoint {
+    /// By it, points that several keyframes show are known again.
+    in_map: Vector3<f64>,
+    /// In the own map's unit.
+    in_camera: Vector3<f64>,
+    descriptor: Descriptor,
+}
+
+/// A testimony, and where it was given.
+pub(super) struct Statement<'a> {
+    pub testimony: &'a Testimony,
+    pub anchor_from_camera: Similarity<AnchorMap, Camera>,
+    /// Of the scene, in the anchor's unit.
+    pub depth: f64,
+}
+
+impl Testimony {
+    pub fn of(
+        (keyframe, features): (&KeyframeObservation, &FeatureIndex),
+        anchor: &AnchorLandmarks,
+        camera_from_anchor: &Transform<Camera, AnchorMap>,
+        settings: &LocalizerSettings,
+    ) -> Self {
+        let camera_from_map = keyframe.map_from_camera.inverse();
+        let own_points = keyframe.features.iter().filter_map(|feature| {
+            let in_map = feature.point?.point_in_map;
+            Some(OwnPoint {
+                in_map,
+                in_camera: camera_from_map * in_map,
+                descriptor: feature.descriptor,
+            })
+        });
+        Self {
+            landmarks: ask(features, anchor, camera_from_anchor, settings),
+            own_points: own_points.collect(),
+        }
+    }
+
+    /// Lengths of the own map about the keyframe have grown.
+    pub fn stretch(&mut self, factor: f64) {
+        for point in &mut self.own_points {
+            point.in_camera *= factor;
+        }
+    }
+}
+
 /// Asks each landmark that should be in view whether it is.
-pub(super) fn ask(
+fn ask(
     features: &FeatureIndex,
     anchor: &AnchorLandmarks,
     camera_from_anchor: &Transform<Camera, AnchorMap>,
@@ -60,7 +117,8 @@ pub(super) fn ask(
             }
             let mut agrees = false;
             features.for_each_near(&position, settings.refine_radius, |idx| {
-                agrees |= is_alike(&landmark.descriptor, features.descriptor(idx), settings);
+                let distance = landmark.descriptor.distance(features.descriptor(idx));
+                agrees |= distance <= settings.search_distance_max;
             });
             witnesses.push(Witness {
                 chunk,
@@ -73,12 +131,29 @@ pub(super) fn ask(
     witnesses
 }
 
-fn is_alike(first: &Descriptor, second: &Descriptor, settings: &LocalizerSettings) -> bool {
-    first.distance(second) <= settings.search_distance_max
+/// What several keyframes say together of the place where they put the own map.
+pub(super) fn weigh(
+    statements: &[Statement],
+    anchor: &AnchorLandmarks,
+    settings: &LocalizerSettings,
+) -> Likeness {
+    let testimonies = statements.iter().map(|one| one.testimony);
+    let in_view = landmarks_in_view(testimonies.flat_map(|one| &one.landmarks));
+    let depth_sum: f64 = statements.iter().map(|one| one.depth).sum();
+    let reach = REACH_DEPTHS * depth_sum / statements.len().max(1) as f64;
+    let (own_points, own_descriptors) = own_things(statements);
+    let (points, descriptors) = landmarks_among(&own_points, statements, anchor, reach, settings);
+    let own = Things::new(&own_points, &own_descriptors);
+    let theirs = Things::new(&points, &descriptors);
+    Likeness::of([
+        in_view,
+        own.sought_in(&theirs, reach, settings.search_distance_max),
+        theirs.sought_in(&own, reach, settings.search_distance_max),
+    ])
 }
 
-/// What the landmarks say to several keyframes together; `None` if there are too few.
-pub(super) fn evenness<'a>(witnesses: impl Iterator<Item = &'a Witness>) -> Option<Evenness> {
+/// A landmark agrees if one of the keyframes shows it.
+fn landmarks_in_view<'a>(witnesses: impl Iterator<Item = &'a Witness>) -> Evenness {
     let mut together: BTreeMap<(ChunkIdx, u32), (Vector3<f64>, bool)> = BTreeMap::new();
     for witness in witnesses {
         let key = (witness.chunk, witness.landmark_idx);
@@ -86,5 +161,48 @@ pub(super) fn evenness<'a>(witnesses: impl Iterator<Item = &'a Witness>) -> Opti
         known.1 |= witness.agrees;
     }
     let (points, agree): (Vec<_>, Vec<_>) = together.into_values().unzip();
-    (points.len() >= WITNESS_COUNT_MIN).then(|| Evenness::of(&points, &agree))
+    Evenness::of(&points, &agree)
+}
+
+/// What the keyframes show of the own map, in the anchor's, each point once.
+fn own_things(statements: &[Statement]) -> (Vec<Vector3<f64>>, Vec<Descriptor>) {
+    let mut known = BTreeSet::new();
+    let mut things = Vec::new();
+    for statement in statements {
+        let placed = statement.anchor_from_camera;
+        let edge = SAME_DEPTHS * statement.depth / placed.scale();
+        for point in &statement.testimony.own_points {
+            let cell: [i64; 3] = (point.in_map / edge)
+                .map(|along| along.floor() as i64)
+                .into();
+            if known.insert(cell) {
+                things.push((placed * point.in_camera, point.descriptor));
+            }
+        }
+    }
+    things.into_iter().unzip()
+}
+
+/// The landmarks in the box around own points.
+fn landmarks_among(
+    own_points: &[Vector3<f64>],
+    statements: &[Statement],
+    anchor: &AnchorLandmarks,
+    reach: f64,
+    settings: &LocalizerSettings,
+) -> (Vec<Vector3<f64>>, Vec<Descriptor>) {
+    let (Some(first), Some(newest)) = (own_points.first(), statements.last()) else {
+        return Default::default();
+    };
+    let margin = Vector3::repeat(reach);
+    let lowest = own_points.iter().fold(*first, |low, one| low.inf(one)) - margin;
+    let highest = own_points.iter().fold(*first, |high, one| high.sup(one)) + margin;
+    let position = newest.anchor_from_camera.translation();
+    let near = anchor.chunks_near(position, settings.predicted_landmark_count_max);
+    let landmarks = near.into_iter().flat_map(|(_, stored)| stored.placed());
+    let inside = landmarks.filter(|landmark| {
+        let point = &landmark.point;
+        (0..3).all(|axis| (lowest[axis]..=highest[axis]).contains(&point[axis]))
+    });
+    inside.map(|one| (one.point, one.descriptor)).unzip()
 }

@@ -191,10 +191,10 @@ fn a_room_of_the_same_plan_is_not_the_room() {
             });
             scene.world = World::new(8000, &mut scene.rng);
             scene.publish(&AnchorSettings::default());
-            // A third of all cubes of this edge.
+            // A quarter of all cubes of this edge.
             let cube = |along_m: f64| (along_m / 1.2).floor() as i64;
             let looks_alike = |point: &Vector3<f64>| {
-                (cube(point.x) + cube(point.y) + cube(point.z)).rem_euclid(3) == 0
+                (cube(point.x) + cube(point.y) + cube(point.z)).rem_euclid(4) == 0
             };
             scene.world = scene.world.redecorated(looks_alike, &mut scene.rng);
             (0..12).for_each(|step| drop(scene.step(step)));
@@ -205,6 +205,35 @@ fn a_room_of_the_same_plan_is_not_the_room() {
         }
     }
     assert!(was_mistaken > 0, "the rooms are too different for a test");
+}
+
+/// Goal: a vehicle that was taken in finds out by what it sees next. Method: the anchor has mapped
+/// nothing but the furniture that both rooms share, and then the rest of its room.
+#[test]
+fn what_comes_later_revokes_an_alignment_to_another_room() {
+    for seed in 0..2 {
+        let mut scene = scene(seed, 1.0);
+        let cube = |along_m: f64| (along_m / 1.2).floor() as i64;
+        let is_shared = |point: &Vector3<f64>| {
+            (cube(point.x) + cube(point.y) + cube(point.z)).rem_euclid(4) == 0
+        };
+        let room = World::new(8000, &mut scene.rng);
+        let other_room = room.redecorated(is_shared, &mut scene.rng);
+        scene.world = room.only(is_shared);
+        scene.publish(&AnchorSettings::default());
+        scene.world = other_room;
+        (0..4).for_each(|step| drop(scene.step(step)));
+        assert!(scene.estimate().is_some(), "seed {seed}: not taken in");
+        let seen = std::mem::replace(&mut scene.world, room);
+        scene.publish(&AnchorSettings::default());
+        scene.world = seen;
+        let revoked_at = (4..12).find(|step| scene.step(*step).revoked);
+        assert!(revoked_at.is_some(), "seed {seed}: not found out");
+        assert!(scene.estimate().is_none(), "seed {seed}");
+        // Nor is it believed again.
+        (12..20).for_each(|step| drop(scene.step(step)));
+        assert!(scene.estimate().is_none(), "seed {seed}");
+    }
 }
 
 /// Goal: a strip of the image tells no pose. Method: only a slab of the room looks as the anchor

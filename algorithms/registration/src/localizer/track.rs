@@ -13,9 +13,9 @@ use nalgebra::{SMatrix, Vector3};
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::locate::Located;
 use super::matching::FeatureIndex;
-use super::testimony::{self, Witness};
-use super::types::{ChunkIdx, DriftRates, KeyframeIdx, LocalizerSettings};
-use crate::evidence::Evenness;
+use super::testimony::{self, Statement, Testimony};
+use super::types::{ChunkIdx, DriftRates, KeyframeIdx, KeyframeObservation, LocalizerSettings};
+use crate::likeness::Likeness;
 
 /// A keyframe that was located.
 #[derive(Clone, Debug)]
@@ -24,8 +24,8 @@ pub(super) struct Entry {
     pub captured_at: Timestamp,
     pub map_from_camera: Transform<Map, Camera>,
     pub located: Located,
-    /// Only while the entry waits.
-    pub witnesses: Vec<Witness>,
+    /// Only while the entry waits, or the track is on probation.
+    pub testimony: Option<Testimony>,
 }
 
 /// The alignment at one pose of the camera.
@@ -275,6 +275,8 @@ pub(super) enum Admission {
     Waits,
     /// It and others that agree with it have become the track.
     Founds,
+    /// What it shows, and what others of the track showed, says that this is another place.
+    Revokes,
 }
 
 /// The keyframes that agree on an alignment, and those that wait for company.
@@ -285,14 +287,16 @@ pub(super) struct Track {
     past: VecDeque<Entry>,
     waiting: VecDeque<Entry>,
     state: Option<State>,
-    /// Of the last that would have founded the track.
-    pub evenness: Option<Evenness>,
+    /// What keyframes said of the place when they last would have founded the track, or since.
+    pub likeness: Option<Likeness>,
     /// Keyframes in a row that were not located or did not agree.
     pub miss_count: usize,
 }
 
 /// Entries that wait at most; the oldest goes first.
 const WAITING_MAX: usize = 12;
+/// Entries over which a new track is tested on.
+const PROBATION_COUNT: usize = 12;
 /// Entries that are remembered beyond the window: half an hour at one a second.
 const PAST_MAX: usize = 2000;
 
@@ -331,44 +335,89 @@ impl Track {
     pub fn admit(
         &mut self,
         mut entry: Entry,
-        features: &FeatureIndex,
+        (keyframe, features): (&KeyframeObservation, &FeatureIndex),
         anchor: &AnchorLandmarks,
         settings: &LocalizerSettings,
     ) -> Admission {
         self.waiting
             .retain(|known| known.keyframe != entry.keyframe);
-        if let Some(state) = &self.state {
-            let predicted = state.predicted(&entry.map_from_camera, &settings.drift);
-            let scale = predicted.anchor_from_camera.scale();
-            let measurement = Measurement::new(&entry, anchor, settings, scale);
-            let agrees = measurement.is_some_and(|measurement| {
-                measurement.disagreement(&predicted) < settings.disagreement_max
-            });
-            if agrees {
-                insert(&mut self.entries, entry);
-                while self.entries.len() > settings.window_keyframe_count
-                    && let Some(oldest) = self.entries.pop_front()
-                {
-                    insert(&mut self.past, oldest);
-                }
-                while self.past.len() > PAST_MAX {
-                    self.past.pop_front();
-                }
-                self.waiting.clear();
-                self.miss_count = 0;
-                self.refresh(anchor, settings);
-                return Admission::Agrees;
+        let agrees = self.agrees(&entry, anchor, settings);
+        let on_probation = agrees && self.entries.len() < PROBATION_COUNT && self.past.is_empty();
+        if on_probation || !agrees {
+            let pose = entry.camera_from_anchor(anchor);
+            entry.testimony =
+                pose.map(|pose| Testimony::of((keyframe, features), anchor, &pose, settings));
+        }
+        if agrees {
+            insert(&mut self.entries, entry);
+            self.waiting.clear();
+            self.miss_count = 0;
+            self.keep_window(settings);
+            self.refresh(anchor, settings);
+            if on_probation {
+                return self.test(anchor, settings);
             }
+            return Admission::Agrees;
         }
         self.miss_count += 1;
-        if let Some(camera_from_anchor) = entry.camera_from_anchor(anchor) {
-            entry.witnesses = testimony::ask(features, anchor, &camera_from_anchor, settings);
-        }
         self.waiting.push_back(entry);
         if self.waiting.len() > WAITING_MAX {
             self.waiting.pop_front();
         }
         self.count_votes(anchor, settings)
+    }
+
+    fn agrees(
+        &self,
+        entry: &Entry,
+        anchor: &AnchorLandmarks,
+        settings: &LocalizerSettings,
+    ) -> bool {
+        let Some(state) = &self.state else {
+            return false;
+        };
+        let predicted = state.predicted(&entry.map_from_camera, &settings.drift);
+        let scale = predicted.anchor_from_camera.scale();
+        let measurement = Measurement::new(entry, anchor, settings, scale);
+        measurement.is_some_and(|measurement| {
+            measurement.disagreement(&predicted) < settings.disagreement_max
+        })
+    }
+
+    fn keep_window(&mut self, settings: &LocalizerSettings) {
+        while self.entries.len() > settings.window_keyframe_count
+            && let Some(oldest) = self.entries.pop_front()
+        {
+            insert(&mut self.past, oldest);
+        }
+        while self.past.len() > PAST_MAX {
+            self.past.pop_front();
+        }
+    }
+
+    /// Gives the track up if what its keyframes show contradicts it; its keyframes wait on, so
+    /// that all of them must be outvoted before the same is believed again.
+    fn test(&mut self, anchor: &AnchorLandmarks, settings: &LocalizerSettings) -> Admission {
+        let Some(state) = &self.state else {
+            return Admission::Agrees;
+        };
+        let likeness = weigh(&self.entries, state, anchor, settings);
+        self.likeness = Some(likeness);
+        if likeness.falls_short_of(settings.agreement_extent_min) {
+            self.waiting = std::mem::take(&mut self.entries);
+            while self.waiting.len() > WAITING_MAX {
+                self.waiting.pop_front();
+            }
+            self.past.clear();
+            self.state = None;
+            return Admission::Revokes;
+        }
+        if self.entries.len() >= PROBATION_COUNT {
+            for entry in &mut self.entries {
+                entry.testimony = None;
+            }
+        }
+        Admission::Agrees
     }
 
     /// Whether the newest waiting entry has enough company to found a new track.
@@ -397,25 +446,24 @@ impl Track {
             let apart = entry.map_from_camera.translation() - newest.map_from_camera.translation();
             apart.norm() > 0.0
         });
-        if agreeing.len() < required || inlier_count < settings.first_inlier_count || !spread {
+        // Things that stand a little elsewhere in another room put each keyframe elsewhere.
+        let outvoted = 2 * agreeing.len() <= self.waiting.len();
+        let too_few = agreeing.len() < required || inlier_count < settings.first_inlier_count;
+        if too_few || outvoted || !spread {
             return Admission::Waits;
         }
-        let witnesses = agreeing.iter().flat_map(|entry| &entry.witnesses);
-        self.evenness = testimony::evenness(witnesses);
-        let contradicted = self
-            .evenness
-            .is_some_and(|evenness| evenness.extent() < settings.agreement_extent_min);
-        let founded = filter(agreeing.iter(), anchor, settings);
-        if founded.is_none() || contradicted {
+        let Some(founded) = filter(agreeing.iter(), anchor, settings) else {
+            return Admission::Waits;
+        };
+        let likeness = weigh(&agreeing, &founded, anchor, settings);
+        self.likeness = Some(likeness);
+        if !likeness.exceeds(settings.agreement_extent_min) {
             return Admission::Waits;
         }
         self.entries = agreeing.into();
-        for entry in &mut self.entries {
-            entry.witnesses = Vec::new();
-        }
         self.past.clear();
         self.waiting.clear();
-        self.state = founded;
+        self.state = Some(founded);
         self.miss_count = 0;
         Admission::Founds
     }
@@ -468,7 +516,29 @@ impl Entry {
         let old = &self.located.chunk_from_camera;
         self.located.chunk_from_camera =
             Similarity::new(old.scale() / factor, *old.rotation(), *old.translation());
+        if let Some(testimony) = &mut self.testimony {
+            testimony.stretch(factor);
+        }
     }
+}
+
+/// What entries say together of the place, as the alignment puts them.
+fn weigh<'a>(
+    entries: impl IntoIterator<Item = &'a Entry>,
+    state: &State,
+    anchor: &AnchorLandmarks,
+    settings: &LocalizerSettings,
+) -> Likeness {
+    let statements = entries.into_iter().filter_map(|entry| {
+        let way = state.map_from_camera.inverse() * entry.map_from_camera;
+        Some(Statement {
+            testimony: entry.testimony.as_ref()?,
+            anchor_from_camera: state.anchor_from_camera * way,
+            depth: state.depth * state.anchor_from_camera.scale(),
+        })
+    });
+    let statements: Vec<Statement> = statements.collect();
+    testimony::weigh(&statements, anchor, settings)
 }
 
 /// Whether two located keyframes tell of the same alignment.

@@ -6,7 +6,7 @@ use features::Descriptor;
 use geometry::{Camera, Map, Matrix7, Tangent7, Timestamp, Transform};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use crate::evidence::Evenness;
+use crate::likeness::{EXTENT_MIN, Likeness};
 
 /// An anchor and one of its epochs, numbered by the caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -100,6 +100,8 @@ pub struct AlignmentReport {
     /// Keyframes that agree with each other have replaced an alignment that was wrong; also
     /// counted in `Localizer::overruled_count`.
     pub overruled: bool,
+    /// An alignment that had begun was given up, because what came since shows another place.
+    pub revoked: bool,
 }
 
 impl AlignmentReport {
@@ -109,6 +111,7 @@ impl AlignmentReport {
             anchors: Vec::new(),
             jumped: false,
             overruled: false,
+            revoked: false,
         }
     }
 }
@@ -119,14 +122,16 @@ pub struct AnchorReport {
     pub verdict: Verdict,
     /// Keyframes that agree with each other have replaced the alignment to this anchor.
     pub overruled: bool,
+    /// The alignment to this anchor was given up: its keyframes show another place.
+    pub revoked: bool,
     /// Chunks and landmarks that were looked at, again for each round of refinement.
     pub chunk_count: usize,
     pub candidate_count: usize,
     pub match_count: usize,
     pub inlier_count: usize,
-    /// How the landmarks that should be in view agree, as of the last time that keyframes agreed
-    /// on a first alignment.
-    pub evenness: Option<Evenness>,
+    /// What keyframes that agree on an alignment show of its place, as of the last time that it
+    /// was to begin, or was tested on.
+    pub likeness: Option<Likeness>,
 }
 
 /// Whether a keyframe was located, and believed.
@@ -271,9 +276,10 @@ pub struct LocalizerSettings {
     pub first_inlier_count: usize,
     /// Keyframes that must agree with each other to overrule an alignment.
     pub switch_keyframe_count: usize,
-    /// The share of the place over which landmarks must agree with keyframes before an alignment
-    /// is begun: rooms of one plan share their furniture, and no more. Higher refuses more of
-    /// them, and more places that have changed.
+    /// The share of the place over which both maps must look alike, a standard deviation of it
+    /// allowed for, before an alignment is begun, and below which it is given up: rooms of one plan
+    /// share their furniture, and no more. Higher refuses more of them, and more places that have
+    /// changed.
     pub agreement_extent_min: f64,
     /// Keyframes in the sliding window: more is calmer, fewer forgets drift sooner.
     pub window_keyframe_count: usize,
@@ -322,7 +328,7 @@ impl Default for LocalizerSettings {
             first_keyframe_count: 2,
             first_inlier_count: 50,
             switch_keyframe_count: 3,
-            agreement_extent_min: 0.5,
+            agreement_extent_min: EXTENT_MIN,
             window_keyframe_count: 40,
             disagreement_max: 5.0,
             anchor_disagreement_max: 4.0,

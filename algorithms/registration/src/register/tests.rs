@@ -505,3 +505,46 @@ fn points_given_twice_do_no_harm() {
         assert_near(&alignment.target_from_source, &truth, limit);
     }
 }
+
+/// Goal: a room that shares some things is not the room. Method: two looks at one corner of a room,
+/// and the same with other looks wherever both do not share them; the shapes fit alike.
+#[test]
+fn a_room_that_shares_some_things_is_refused() {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let points = corner(3000, &mut rng);
+    let mut look = || features::Descriptor(std::array::from_fn(|_| rng.random()));
+    let looks: Vec<_> = points.iter().map(|_| look()).collect();
+    let others: Vec<_> = points.iter().map(|_| look()).collect();
+    let truth = truth(2.0, 1.0, 1.5);
+    let target = Cloud::new(points.clone(), Descriptors::Binary(looks.clone())).unwrap();
+    let settings = RegisterSettings {
+        with_scale: true,
+        start: Start::Search,
+        ..RegisterSettings::default()
+    };
+    let cube = |along_m: f64| (along_m / 0.5).floor() as i64;
+    let is_shared = |point: &Vector3<f64>| {
+        (cube(point.x) + 2 * cube(point.y) + cube(point.z)).rem_euclid(5) == 0
+    };
+    for is_room in [true, false] {
+        let seen = points.iter().zip(looks.iter().zip(&others));
+        let seen = seen.map(|(point, (look, other))| {
+            let is_known = is_room || is_shared(point);
+            if is_known { *look } else { *other }
+        });
+        let there = moved(&points, &truth).points().to_vec();
+        let source = Cloud::new(there, Descriptors::Binary(seen.collect())).unwrap();
+        match register(&source, &target, &settings) {
+            Outcome::Accepted(alignment) => {
+                let likeness = alignment.quality.likeness.unwrap();
+                assert!(is_room && likeness.extent > 0.9, "{likeness:?}");
+            }
+            Outcome::Refused { reason, .. } => {
+                assert!(
+                    !is_room && matches!(reason, Refusal::AnotherPlace { .. }),
+                    "{reason}"
+                );
+            }
+        }
+    }
+}

@@ -3,7 +3,7 @@
 use geometry::{Map, Matrix7, Similarity};
 use registration::localizer::{Refusal, Verdict};
 use registration::{
-    AnchorIdx, ChunkIdx, Evenness, Localizer, LocalizerSettings, Outcome, RegisterSettings, Start,
+    AnchorIdx, ChunkIdx, Likeness, Localizer, LocalizerSettings, Outcome, RegisterSettings, Start,
     register,
 };
 
@@ -106,8 +106,7 @@ pub(super) fn localise(
     let mut answer = Answer::Refused("no keyframe".to_owned());
     for keyframe in &second.keyframes {
         let report = localizer.observe_keyframe(keyframe);
-        let evenness = report.anchors.first().and_then(|one| one.evenness);
-        notes = said(evenness);
+        notes = said(report.anchors.first().and_then(|one| one.likeness));
         match localizer.estimate(keyframe.captured_at) {
             None => answer = Answer::Refused(refusal(&report.verdict)),
             Some(estimate) => {
@@ -156,13 +155,11 @@ pub(super) fn register_clouds(first: &VehicleMap, second: &VehicleMap, is_common
     }
 }
 
-fn said(evenness: Option<Evenness>) -> String {
-    evenness.map_or_else(String::new, |evenness| {
+fn said(likeness: Option<Likeness>) -> String {
+    likeness.map_or_else(String::new, |likeness| {
         format!(
-            "evenness {:.2} of {}, {:.0} % agree",
-            evenness.extent(),
-            evenness.count,
-            100.0 * evenness.share
+            "alike over {:.2} ± {:.2} by {}",
+            likeness.extent, likeness.sigma, likeness.count
         )
     })
 }

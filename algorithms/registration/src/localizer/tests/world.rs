@@ -101,6 +101,16 @@ impl World {
         }
     }
 
+    /// The same room with nothing else in it.
+    pub fn only(&self, is_kept: impl Fn(&Vector3<f64>) -> bool) -> Self {
+        let known = self.points.iter().zip(&self.descriptors);
+        let (points, descriptors) = known.filter(|(point, _)| is_kept(point)).unzip();
+        Self {
+            points,
+            descriptors,
+        }
+    }
+
     /// Everything near the east wall stands at the west wall again, turned by half a round.
     pub fn repeat_east_in_the_west(&mut self) {
         for idx in 0..self.points.len() {

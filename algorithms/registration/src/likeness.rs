@@ -1,0 +1,157 @@
+//! Whether two places that fit are one place: where both were seen, they must look alike all over.
+//!
+//! Rooms of one plan share furniture and posters, which match to a tenth of a percent. What tells
+//! them apart is what one shows and the other does not, asked in both directions.
+
+use features::Descriptor;
+use nalgebra::Vector3;
+
+use crate::cloud::to_single;
+use crate::kd_tree::{KdTree, Neighbour};
+
+/// How evenly those that agree lie among all that should.
+///
+/// Where two views differ, agreement is thin everywhere; where two places share a cupboard and a
+/// poster, it is dense on these and absent elsewhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evenness {
+    pub count: usize,
+    /// Of all, those that agree.
+    pub share: f64,
+    /// The same among the neighbours of those that agree.
+    pub share_nearby: f64,
+}
+
+/// Neighbours that are asked.
+const NEIGHBOUR_COUNT: usize = 8;
+/// Of those that should agree, fewer do so by chance alone, anywhere.
+const CHANCE_SHARE: f64 = 0.05;
+
+impl Evenness {
+    pub(crate) fn of(points: &[Vector3<f64>], agree: &[bool]) -> Self {
+        let single: Vec<[f32; 3]> = points.iter().map(to_single).collect();
+        let tree = KdTree::new(&single);
+        let (mut agreeing_count, mut neighbour_count, mut agreeing_neighbour_count) = (0, 0, 0);
+        let mut found = Vec::new();
+        for (idx, point) in single.iter().enumerate().filter(|(idx, _)| agree[*idx]) {
+            agreeing_count += 1;
+            tree.nearest_many(*point, NEIGHBOUR_COUNT + 1, &mut found);
+            for neighbour in found.iter().filter(|one| one.idx as usize != idx) {
+                neighbour_count += 1;
+                agreeing_neighbour_count += usize::from(agree[neighbour.idx as usize]);
+            }
+        }
+        let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+        Self {
+            count: points.len(),
+            share: share(agreeing_count, points.len()),
+            share_nearby: share(agreeing_neighbour_count, neighbour_count),
+        }
+    }
+
+    /// The share of the place that agreement extends over, 0 to 1.
+    pub fn extent(&self) -> f64 {
+        if self.share < CHANCE_SHARE {
+            return 0.0;
+        }
+        (self.share / self.share_nearby.max(1e-9)).min(1.0)
+    }
+}
+
+/// What all witnesses say together, of either place about the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Likeness {
+    /// Witnesses.
+    pub count: usize,
+    /// The share of the place over which they agree, 0 to 1.
+    pub extent: f64,
+    /// Standard deviation of `extent`.
+    pub sigma: f64,
+}
+
+/// The share of what both maps show that looks alike in one place. Of rendered rooms that share
+/// furniture and posters, one pair in a hundred comes to more; nearly all common views from within
+/// 30° do, by a standard deviation, and real ones come to 0.7.
+pub(crate) const EXTENT_MIN: f64 = 0.4;
+
+impl Likeness {
+    /// Each kind of witness counts by their number; few of them leave much to luck.
+    pub(crate) fn of(kinds: impl IntoIterator<Item = Evenness>) -> Self {
+        let (mut count, mut agreeing, mut extent) = (0, 0.0, 0.0);
+        for kind in kinds {
+            count += kind.count;
+            agreeing += kind.share * kind.count as f64;
+            extent += kind.extent() * kind.count as f64;
+        }
+        let extent = extent / count.max(1) as f64;
+        // Neighbours agree or not together: they are one witness.
+        let independent = agreeing / NEIGHBOUR_COUNT as f64;
+        Self {
+            count,
+            extent,
+            sigma: extent / independent.max(1.0).sqrt(),
+        }
+    }
+
+    /// Whether the place is like the other over at least this share, although a standard deviation
+    /// of it may be luck.
+    pub fn exceeds(&self, extent_min: f64) -> bool {
+        self.extent - self.sigma >= extent_min
+    }
+
+    /// Whether it is not, although a standard deviation may be bad luck.
+    pub fn falls_short_of(&self, extent_min: f64) -> bool {
+        self.extent + self.sigma < extent_min
+    }
+}
+
+/// Things of one map, in the frame of both.
+pub(crate) struct Things<'a> {
+    points: &'a [Vector3<f64>],
+    descriptors: &'a [Descriptor],
+    tree: KdTree,
+}
+
+/// So many things of the other map stand nearby where it has looked.
+const COMPANY_COUNT_MIN: usize = 3;
+/// How far they may be, relative to what is asked for itself.
+const COMPANY_REACH: f64 = 1.25;
+
+impl<'a> Things<'a> {
+    /// - `descriptors`: one per point.
+    pub fn new(points: &'a [Vector3<f64>], descriptors: &'a [Descriptor]) -> Self {
+        let single: Vec<[f32; 3]> = points.iter().map(to_single).collect();
+        Self {
+            points,
+            descriptors,
+            tree: KdTree::new(&single),
+        }
+    }
+
+    /// Asks each thing here whether the other map has it, as far as that has looked there.
+    ///
+    /// - `reach`: how far a thing of one map may be from itself in the other.
+    pub fn sought_in(&self, other: &Things, reach: f64, distance_max: u32) -> Evenness {
+        let (mut points, mut agree) = (Vec::new(), Vec::new());
+        let mut near: Vec<Neighbour> = Vec::new();
+        let company_reach = (reach * COMPANY_REACH) as f32;
+        let reach_squared = (reach * reach) as f32;
+        for (point, descriptor) in self.points.iter().zip(self.descriptors) {
+            other
+                .tree
+                .within(to_single(point), company_reach, &mut near);
+            if near.len() < COMPANY_COUNT_MIN {
+                continue;
+            }
+            points.push(*point);
+            agree.push(near.iter().any(|one| {
+                let theirs = &other.descriptors[one.idx as usize];
+                one.distance_squared <= reach_squared && descriptor.distance(theirs) <= distance_max
+            }));
+        }
+        Evenness::of(&points, &agree)
+    }
+}
+
+#[cfg(test)]
+mod tests;

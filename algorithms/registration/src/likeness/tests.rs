@@ -1,0 +1,102 @@
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+/// Goal: thin agreement is told from patches. Method: points on a wall of which every third
+/// agrees, or all in a quarter of it, or hardly any.
+#[test]
+fn what_agrees_here_and_there_extends_over_all_and_a_poster_does_not() {
+    let points: Vec<Vector3<f64>> = (0..900)
+        .map(|idx| Vector3::new(f64::from(idx % 30), f64::from(idx / 30), 0.0))
+        .collect();
+    let extent = |agrees: &dyn Fn(usize) -> bool| {
+        let agree: Vec<bool> = (0..900).map(agrees).collect();
+        Evenness::of(&points, &agree).extent()
+    };
+    assert!(extent(&|idx| idx * 7919 % 97 < 32) > 0.8);
+    let in_quarter = |idx: usize| idx % 30 < 15 && idx < 450;
+    assert!((0.2..0.3).contains(&extent(&in_quarter)));
+    let thin_quarter = |idx: usize| in_quarter(idx) && idx * 7919 % 97 < 60;
+    assert!((0.2..0.36).contains(&extent(&thin_quarter)));
+    assert_eq!(extent(&|idx| idx.is_multiple_of(60)), 0.0);
+}
+
+/// A wall of things, each with a look of its own.
+fn wall() -> (Vec<Vector3<f64>>, Vec<Descriptor>) {
+    let thing = |idx: u64| {
+        let point = Vector3::new((idx % 40) as f64, (idx / 40) as f64, 0.0);
+        (point, another_look(idx))
+    };
+    (0..1600).map(thing).unzip()
+}
+
+fn another_look(idx: u64) -> Descriptor {
+    let mut rng = ChaCha8Rng::seed_from_u64(idx);
+    Descriptor(std::array::from_fn(|_| rng.random()))
+}
+
+/// Goal: one place is told from two that share a part. Method: a wall against itself, seen so
+/// differently that two of three things are not known again, and against one of which a third,
+/// in patches, looks the same.
+#[test]
+fn a_wall_of_which_a_part_stands_elsewhere_too_is_another_wall() {
+    let (points, descriptors) = wall();
+    let likeness = |is_alike: &dyn Fn(usize) -> bool| {
+        let looks = descriptors.iter().enumerate().map(|(idx, look)| {
+            let other = another_look(10_000 + idx as u64);
+            if is_alike(idx) { *look } else { other }
+        });
+        let looks: Vec<Descriptor> = looks.collect();
+        let first = Things::new(&points, &descriptors);
+        let second = Things::new(&points, &looks);
+        Likeness::of([
+            first.sought_in(&second, 1.2, 64),
+            second.sought_in(&first, 1.2, 64),
+        ])
+    };
+    let seen_differently = likeness(&|idx| idx * 7919 % 97 < 32);
+    assert!(seen_differently.exceeds(EXTENT_MIN), "{seen_differently:?}");
+    let shared = likeness(&|idx| (idx % 40 / 10 + idx / 400) % 4 == 0);
+    assert!(shared.falls_short_of(EXTENT_MIN), "{shared:?}");
+    assert_eq!(shared.count, 3200);
+    let nothing = likeness(&|_| false);
+    assert_eq!((nothing.extent, nothing.exceeds(EXTENT_MIN)), (0.0, false));
+}
+
+/// Goal: what the other map has not looked at does not speak against it.
+#[test]
+fn nobody_is_asked_where_the_other_map_has_nothing() {
+    let (points, descriptors) = wall();
+    let whole = Things::new(&points, &descriptors);
+    let corner = Things::new(&points[..400], &descriptors[..400]);
+    let found = whole.sought_in(&corner, 1.2, 64);
+    // One row more: its things have three neighbours in the corner.
+    assert!((400..=440).contains(&found.count), "{found:?}");
+    assert!(found.extent() > 0.85, "{found:?}");
+}
+
+/// Goal: a few witnesses settle nothing, whatever they say.
+#[test]
+fn few_witnesses_settle_nothing() {
+    let kind = |count: usize| Evenness {
+        count,
+        share: 1.0,
+        share_nearby: 1.0,
+    };
+    assert!(!Likeness::of([]).exceeds(EXTENT_MIN));
+    assert!(!Likeness::of([kind(10), kind(10)]).exceeds(EXTENT_MIN));
+    assert!(Likeness::of([kind(15), kind(15)]).exceeds(EXTENT_MIN));
+    let half = Evenness {
+        share: 0.3,
+        share_nearby: 0.6,
+        ..kind(60)
+    };
+    let unsettled = Likeness::of([half]);
+    assert!(!unsettled.exceeds(EXTENT_MIN) && !unsettled.falls_short_of(EXTENT_MIN));
+    let settled = Likeness::of([Evenness {
+        count: 2000,
+        ..half
+    }]);
+    assert!(settled.exceeds(EXTENT_MIN));
+}
