@@ -13,7 +13,7 @@ use geometry::{Camera, Map, Transform};
 pub(crate) use adjust::{Selection, adjust_all, adjust_local, renew_point, stretches};
 pub(crate) use fuse::fuse;
 
-use settling::Settling;
+pub(crate) use settling::Settling;
 
 use crate::bundle::Workspace;
 use crate::frame::Frame;
@@ -58,6 +58,11 @@ impl Mapper {
     pub(crate) fn resume(&mut self) {
         self.recent.clear();
         self.unsettled.clear();
+        self.settling = Settling::default();
+    }
+
+    /// Forgets what adjustments said of a map that is another one now.
+    pub(crate) fn settle_anew(&mut self) {
         self.settling = Settling::default();
     }
 

@@ -89,7 +89,7 @@ impl PeerRole {
     pub fn take_chunk(&mut self, chunk: &Chunk, page: Option<&PlacementPage>) {
         let header = chunk.header();
         let map = &chunk.id().map;
-        // Of a map that rests on this vehicle's nothing is used any more, from its first word of it.
+        // Of a map that rests on this one nothing is used any more, from its first word of it.
         if self.rest_on(map, header.reference, &header.provenance) == Reference::Circular {
             self.circular_count += 1;
             return;

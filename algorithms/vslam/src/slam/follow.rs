@@ -3,6 +3,7 @@
 use super::grow_map::Unmapped;
 use super::{Backfill, Mode, Outcome, Vslam};
 use crate::frame::Frame;
+use crate::mapping::Settling;
 use crate::start::Starter;
 use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, track};
 use crate::{LostReason, MapId, TrackingState, VslamMap};
@@ -92,7 +93,7 @@ impl Vslam {
     pub(super) fn accept(&mut self, frame: Frame, mut tracked: Tracked) -> Outcome {
         let rank = self.map.rank();
         let largest = self.earlier.iter().map(VslamMap::rank).max();
-        let in_doubt = self.mapper.settling().is_in_doubt();
+        let in_doubt = self.mapper.settling().is_in_doubt(frame.captured_at);
         let reason = if tracked.is_placed {
             LostReason::MapUnsettled
         } else {
@@ -132,12 +133,16 @@ impl Vslam {
         Outcome::without_pose(TrackingState::Lost { reason })
     }
 
-    /// Gives up a map that had a wrong start, and does not keep it.
+    /// Gives up a map that had a wrong start, and does not keep it unless there is more to it.
     pub(super) fn give_up_hopeless(&mut self) {
         let following = matches!(self.mode, Mode::Following { .. });
         if following && self.mapper.settling().is_hopeless() {
-            self.begin_anew();
-            self.hand_on_backfill();
+            let old = self.begin_anew();
+            if old.rank() > (false, Settling::HOPELESS_KEYFRAMES_MAX) {
+                self.leave(old);
+            } else {
+                self.hand_on_backfill();
+            }
         }
     }
 

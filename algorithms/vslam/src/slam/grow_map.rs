@@ -62,7 +62,12 @@ impl Vslam {
                 earlier: &mut self.earlier,
                 trajectory: &mut self.trajectory,
             };
+            let keyframe_count = self.map.keyframe_count();
             let stretch = revisit.by(inserted.keyframe, &mut self.map, &mut self.rng);
+            if self.map.keyframe_count() > keyframe_count {
+                // It was joined to another: what it was alone no longer counts.
+                self.mapper.settle_anew();
+            }
             motion.stretch(stretch);
             let keyframe = self
                 .map

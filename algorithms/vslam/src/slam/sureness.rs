@@ -1,6 +1,6 @@
 //! Whether a place counts that was found afterwards, when nothing but the image spoke for it.
 
-use crate::held::{misfit, place_sigma};
+use crate::held::{MISFIT_RATIO_MAX, misfit, place_sigma};
 use crate::tracking::Tracked;
 use crate::trajectory::FrameRecord;
 use crate::{KeyframeId, Observation, VslamMap};
@@ -8,15 +8,15 @@ use crate::{KeyframeId, Observation, VslamMap};
 /// A place may be uncertain by this share of the way that the camera went: even four times as much
 /// does not put it far beside that way.
 const WAY_SHARE_MAX: f64 = 1.0 / 80.0;
+/// A camera that hovers goes no way; then this share of the depth that it sees is in its place.
+const WAY_DEPTHS_MIN: f64 = 0.3;
 /// Places that are looked at for the way, at most.
 const WAY_PLACES_MAX: usize = 1000;
 /// A step is one if it is longer than this many standard deviations; others are noise.
 const STEP_SIGMAS: f64 = 2.0;
 
 /// A frame that shows less than this of what it should may be of another place that looks alike.
-const FOUND_SHARE_MIN: f64 = 0.3;
-/// Then the points miss its keypoints by so much more than those of keyframes there.
-const MISFIT_RATIO_MAX: f64 = 1.8;
+const CHANCE_SHARE_MAX: f64 = 0.3;
 /// Keyframes that say how much is usual, at most.
 const USUAL_KEYFRAMES: usize = 8;
 
@@ -31,12 +31,17 @@ pub(super) fn is_sure(
         return false;
     }
     let sigma = place_sigma(map, &tracked.camera_from_map, observations);
-    sigma.is_some_and(|sigma| sigma <= WAY_SHARE_MAX * way(map, trajectory, STEP_SIGMAS * sigma))
+    let depths = map.sorted_depths(tracked.reference);
+    let depth = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
+    sigma.is_some_and(|sigma| {
+        let way = way(map, trajectory, STEP_SIGMAS * sigma);
+        sigma <= WAY_SHARE_MAX * way.max(WAY_DEPTHS_MIN * depth)
+    })
 }
 
 fn is_chance(map: &VslamMap, observations: &[Observation], tracked: &Tracked) -> bool {
     let found_share = tracked.ranged_count as f64 / tracked.expected_count.max(1) as f64;
-    if found_share >= FOUND_SHARE_MIN {
+    if found_share >= CHANCE_SHARE_MAX {
         return false;
     }
     let own = misfit(map, &tracked.camera_from_map, observations);
@@ -57,9 +62,9 @@ fn usual_misfit(map: &VslamMap, around: KeyframeId) -> Option<f64> {
 
 /// How far the camera went in the map, by steps of at least this length.
 fn way(map: &VslamMap, trajectory: &[FrameRecord], step_min: f64) -> f64 {
-    let stride = trajectory.len().div_ceil(WAY_PLACES_MAX).max(1);
-    let of_map = trajectory.iter().filter(|one| one.map_id == map.id());
-    let places = of_map.step_by(stride).filter_map(|one| one.place);
+    let of_map = || trajectory.iter().filter(|one| one.map_id == map.id());
+    let stride = of_map().count().div_ceil(WAY_PLACES_MAX).max(1);
+    let places = of_map().step_by(stride).filter_map(|one| one.place);
     let centres = places.filter_map(|place| Some(*map.pose(&place)?.inverse().translation()));
     let (mut way, mut last) = (0.0, None);
     for centre in centres {

@@ -8,7 +8,8 @@ use crate::map::NewPoint;
 use crate::plane_grid::PlaneGrid;
 use crate::{MapId, PointId, View};
 
-const SIGMA: f64 = 0.002;
+/// Large enough that a short way decides.
+const SIGMA: f64 = 0.02;
 const POINTS: usize = 20;
 
 /// At depths about 3, all over the image.
@@ -112,6 +113,17 @@ fn a_camera_that_went_a_short_way_is_placed_well_or_not_at_all() {
         record.place = map.place(keyframe, &moved);
     }
     assert!(!is_sure(&map, &trajectory, (&observations, &tracked)));
+}
+
+#[test]
+fn a_camera_that_hovers_is_placed_by_what_it_sees() {
+    let (map, _) = map();
+    let (mut observations, tracked) = seen(&map, 0.5, POINTS);
+    assert!(!is_sure(&map, &[], (&observations, &tracked)));
+    for observation in &mut observations {
+        observation.sigma = 0.1 * SIGMA;
+    }
+    assert!(is_sure(&map, &[], (&observations, &tracked)));
 }
 
 #[test]

@@ -1,13 +1,15 @@
 //! Frames found afterwards, in a map that shows them well.
 
+use nalgebra::Matrix3;
+
 use super::world::World;
 use super::{machine, pose, stamp};
-use crate::Vslam;
 use crate::frame::Frame;
 use crate::slam::backfill::{Backfill, Missed};
 use crate::slam::waiting::{Search, Waiting};
 use crate::tracking::TrackedFrame;
 use crate::trajectory::FrameRecord;
+use crate::{MapPoint, PointId, Vslam};
 
 /// A machine after a walk, and a frame from the middle of it that it does not know.
 fn walked() -> (Vslam, Frame) {
@@ -28,10 +30,12 @@ fn walked() -> (Vslam, Frame) {
     (slam, frame)
 }
 
-/// Forgets what it takes to know how far the camera went.
-fn forget_way(slam: &mut Vslam) {
-    for record in &mut slam.trajectory {
-        record.place = None;
+/// Leaves a hundred metres uncertain of each point, and forgets that the frame was found.
+fn doubt_points(slam: &mut Vslam) {
+    slam.trajectory[40].place = None;
+    let ids: Vec<PointId> = slam.map.points().map(MapPoint::id).collect();
+    for id in ids {
+        slam.map.point_mut(id).unwrap().covariance_in_map = Matrix3::identity() * 1e4;
     }
 }
 
@@ -49,10 +53,10 @@ fn is_found_waiting(slam: &mut Vslam, frame: &Frame) -> bool {
 }
 
 #[test]
-fn a_waiting_frame_has_a_place_only_if_that_is_certain_for_the_way() {
+fn a_waiting_frame_has_a_place_only_if_that_is_certain() {
     let (mut slam, frame) = walked();
     assert!(is_found_waiting(&mut slam, &frame));
-    forget_way(&mut slam);
+    doubt_points(&mut slam);
     assert!(!is_found_waiting(&mut slam, &frame));
 }
 
@@ -77,7 +81,7 @@ fn so_has_a_frame_before_the_start_and_it_leads_on_either_way() {
     };
     let (missed, found, _) = step(&mut slam);
     assert!(missed.is_none() && found);
-    forget_way(&mut slam);
+    doubt_points(&mut slam);
     let (missed, found, backfill) = step(&mut slam);
     assert!(matches!(missed, Some(Missed::Unsure(_))) && !found);
     assert_eq!(backfill.leads_from(), Some(frame.captured_at));
