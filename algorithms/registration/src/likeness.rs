@@ -58,6 +58,9 @@ impl Evenness {
     }
 }
 
+/// Of what one witness says, that may agree or not.
+const SIGMA_OF_ONE: f64 = 0.5;
+
 /// What all witnesses say together, of either place about the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Likeness {
@@ -85,11 +88,14 @@ impl Likeness {
         }
         let extent = extent / count.max(1) as f64;
         // Neighbours agree or not together: they are one witness.
-        let independent = agreeing / NEIGHBOUR_COUNT as f64;
+        let independent = |count: f64| (count / NEIGHBOUR_COUNT as f64).max(1.0);
+        let of_agreeing = extent / independent(agreeing).sqrt();
+        // Where hardly any agree, as many as were asked.
+        let of_all = SIGMA_OF_ONE / independent(count as f64).sqrt();
         Self {
             count,
             extent,
-            sigma: extent / independent.max(1.0).sqrt(),
+            sigma: of_agreeing.max(of_all),
         }
     }
 
@@ -118,8 +124,10 @@ const COMPANY_COUNT_MIN: usize = 3;
 const COMPANY_REACH: f64 = 1.25;
 
 impl<'a> Things<'a> {
-    /// - `descriptors`: one per point.
+    /// - `descriptors`: of the first points; the others are not looked at.
     pub fn new(points: &'a [Vector3<f64>], descriptors: &'a [Descriptor]) -> Self {
+        let count = points.len().min(descriptors.len());
+        let (points, descriptors) = (&points[..count], &descriptors[..count]);
         let single: Vec<[f32; 3]> = points.iter().map(to_single).collect();
         Self {
             points,

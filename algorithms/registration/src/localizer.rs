@@ -174,8 +174,11 @@ impl Localizer {
         let verdict = best_verdict(&reports);
         self.accepted_count += u64::from(verdict == Verdict::Accepted);
         let overruled = reports.iter().any(|report| report.overruled);
-        self.overruled_count += u64::from(overruled);
         let revoked = reports.iter().any(|report| report.revoked);
+        self.overruled_count += u64::from(overruled || revoked);
+        for report in reports.iter().filter(|report| report.revoked) {
+            self.single_frames.leave(report.anchor);
+        }
         AlignmentReport {
             verdict,
             anchors: reports,

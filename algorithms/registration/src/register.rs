@@ -157,6 +157,9 @@ fn verdict(
 /// wrong ones that all else accepts to 0.6 and more.
 const SHAPE_CONTRAST_MAX: f64 = 0.55;
 
+/// Fewer that say whether two clouds are of one place may all be of one bush.
+const WITNESSES_MIN: usize = 50;
+
 /// Asks more of an alignment for which only shapes speak.
 fn judge_evidence(quality: &Quality) -> Result<(), Refusal> {
     let by_shape = quality
@@ -169,7 +172,7 @@ fn judge_evidence(quality: &Quality) -> Result<(), Refusal> {
     }
     match quality.likeness {
         // Nothing more will come, so that the likelier counts.
-        Some(likeness) if likeness.count > 0 && likeness.extent < EXTENT_MIN => {
+        Some(likeness) if likeness.count >= WITNESSES_MIN && likeness.extent < EXTENT_MIN => {
             Err(Refusal::AnotherPlace {
                 extent: likeness.extent,
             })

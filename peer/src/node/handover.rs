@@ -27,6 +27,8 @@ pub(super) struct Handover {
     /// 0 while single frames say where the camera is, 1 once the own map alone does.
     map_share: f64,
     newest: Option<Newest>,
+    /// The newest pose was found wrong.
+    doubted: bool,
     /// The newest frame's pose is by the own map alone, whose jumps its registration counts.
     map_alone: bool,
     /// The two contradict each other in this handover; counted once.
@@ -60,6 +62,7 @@ impl Default for Handover {
         Self {
             map_share: 1.0,
             newest: None,
+            doubted: false,
             map_alone: false,
             contradicted: false,
             jump_count: 0,
@@ -82,9 +85,15 @@ impl Handover {
         self.jump_count
     }
 
+    /// The newest pose was wrong: no frame should be looked for near it.
+    pub fn doubt(&mut self) {
+        self.doubted = true;
+    }
+
     /// Where the camera was last, if that was a moment ago.
     pub fn near(&self, now: Timestamp) -> Option<(Timestamp, GlobalCamera)> {
         let near = self.newest.filter(|newest| newest.is_near(now));
+        let near = near.filter(|_| !self.doubted);
         near.map(|newest| (newest.captured_at, newest.camera))
     }
 
@@ -115,7 +124,8 @@ impl Handover {
         let map_alone = by_map.is_some() && !by_both;
         if let Some(pose) = pose {
             // On the way from one to the other the step between them is counted already.
-            let is_counted = (map_alone && self.map_alone) || (by_both && self.contradicted);
+            let is_counted =
+                (map_alone && self.map_alone) || (by_map.is_some() && self.contradicted);
             self.take(captured_at, pose, is_counted);
         }
         self.map_alone = map_alone;
@@ -132,6 +142,7 @@ impl Handover {
             let elapsed_s = captured_at - before.captured_at;
             difference(&before.camera, &camera) / elapsed_s.max(1e-3)
         });
+        self.doubted = false;
         self.newest = Some(Newest {
             captured_at,
             camera,
@@ -251,12 +262,24 @@ mod tests {
         let mut handover = Handover::default();
         for frame_idx in 0..10 {
             let by_map = (frame_idx > 0).then(|| camera(0.5, 0.0));
-            handover.pose(at(frame_idx), by_map, Some(camera(0.0, 0.0)));
+            // One frame on the way is not located.
+            let by_frame = (frame_idx != 5).then(|| camera(0.0, 0.0));
+            handover.pose(at(frame_idx), by_map, by_frame);
         }
         assert_eq!(handover.jump_count(), 1);
         // On the way the covariance covers both.
         let halfway = handover.newest.unwrap().camera;
         assert!(halfway.covariance[(3, 3)] > 0.02 * 0.02);
+    }
+
+    #[test]
+    fn nothing_is_looked_for_near_a_pose_that_was_wrong() {
+        let mut handover = Handover::default();
+        handover.pose(at(0), Some(camera(1.0, 0.0)), None);
+        handover.doubt();
+        assert!(handover.near(at(1)).is_none());
+        handover.pose(at(1), Some(camera(1.0, 0.0)), None);
+        assert!(handover.near(at(2)).is_some());
     }
 
     #[test]

@@ -227,6 +227,7 @@ impl PeerRole {
     /// Says what an operator should know of an alignment.
     fn report(&mut self, alignment: &AlignmentReport) {
         if alignment.revoked {
+            self.handover.doubt();
             tracing::warn!(
                 "the alignment was wrong: too much of what both maps show looks different; another \
                  one is sought"

@@ -87,6 +87,17 @@ fn few_witnesses_settle_nothing() {
     assert!(!Likeness::of([]).exceeds(EXTENT_MIN));
     assert!(!Likeness::of([kind(10), kind(10)]).exceeds(EXTENT_MIN));
     assert!(Likeness::of([kind(15), kind(15)]).exceeds(EXTENT_MIN));
+    let disagree = |count| {
+        let share = 0.0;
+        Likeness::of([Evenness {
+            share,
+            share_nearby: share,
+            ..kind(count)
+        }])
+    };
+    assert!(!Likeness::of([]).falls_short_of(EXTENT_MIN));
+    assert!(!disagree(10).falls_short_of(EXTENT_MIN));
+    assert!(disagree(100).falls_short_of(EXTENT_MIN));
     let half = Evenness {
         share: 0.3,
         share_nearby: 0.6,
@@ -99,4 +110,14 @@ fn few_witnesses_settle_nothing() {
         ..half
     }]);
     assert!(settled.exceeds(EXTENT_MIN));
+}
+
+/// Goal: points that came later, without descriptors, are left out.
+#[test]
+fn points_without_descriptors_are_not_looked_at() {
+    let (points, descriptors) = wall();
+    let first = Things::new(&points, &descriptors[..800]);
+    let second = Things::new(&points, &descriptors);
+    let found = second.sought_in(&first, 1.2, 64);
+    assert!((800..=840).contains(&found.count), "{found:?}");
 }

@@ -443,6 +443,12 @@ impl SingleFrames {
         self.waiting.clear();
     }
 
+    /// Forgets where the camera was in an anchor's map, which has turned out to be of another place.
+    pub fn leave(&mut self, anchor: AnchorIdx) {
+        self.followed = self.followed.filter(|one| one.place.anchor != anchor);
+        self.waiting.retain(|place| place.anchor != anchor);
+    }
+
     /// Whether enough places agree with the newest; those that do not are forgotten.
     fn confirm(&mut self, place: &Place) -> bool {
         self.waiting.retain(|other| place.is_reachable_from(other));

@@ -229,6 +229,7 @@ fn what_comes_later_revokes_an_alignment_to_another_room() {
         scene.world = seen;
         let revoked_at = (4..12).find(|step| scene.step(*step).revoked);
         assert!(revoked_at.is_some(), "seed {seed}: not found out");
+        assert_eq!(scene.localizer.overruled_count(), 1, "seed {seed}");
         assert!(scene.estimate().is_none(), "seed {seed}");
         // Nor is it believed again.
         (12..20).for_each(|step| drop(scene.step(step)));

@@ -386,8 +386,9 @@ impl Track {
 
     fn keep_window(&mut self, settings: &LocalizerSettings) {
         while self.entries.len() > settings.window_keyframe_count
-            && let Some(oldest) = self.entries.pop_front()
+            && let Some(mut oldest) = self.entries.pop_front()
         {
+            oldest.testimony = None;
             insert(&mut self.past, oldest);
         }
         while self.past.len() > PAST_MAX {

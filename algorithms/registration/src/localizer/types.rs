@@ -100,7 +100,8 @@ pub struct AlignmentReport {
     /// Keyframes that agree with each other have replaced an alignment that was wrong; also
     /// counted in `Localizer::overruled_count`.
     pub overruled: bool,
-    /// An alignment that had begun was given up, because what came since shows another place.
+    /// An alignment that had begun was given up, because what came since shows another place; also
+    /// counted in `Localizer::overruled_count`.
     pub revoked: bool,
 }
 
