@@ -443,7 +443,7 @@ impl SingleFrames {
         self.waiting.clear();
     }
 
-    /// Forgets where the camera was in an anchor's map, which has turned out to be of another place.
+    /// Forgets where the camera was in an anchor's map, as it turned out to be of another place.
     pub fn leave(&mut self, anchor: AnchorIdx) {
         self.followed = self.followed.filter(|one| one.place.anchor != anchor);
         self.waiting.retain(|place| place.anchor != anchor);
