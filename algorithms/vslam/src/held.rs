@@ -90,9 +90,6 @@ fn d_position_d_pose(position: &Vector2<f64>, inverse_depth: f64) -> [RowVector6
     ]
 }
 
-/// A doubtful pose of which the points miss by so much more than usual was found by chance.
-pub(crate) const MISFIT_RATIO_MAX: f64 = 1.8;
-
 /// By how many standard deviations the points of known range miss these observations, in the
 /// median; `None` if there are none. Far more than usual says that they were found by chance.
 pub(crate) fn misfit(

@@ -178,4 +178,12 @@ mod tests {
         assert!(trial.fault().is_none(), "{trial:?}");
         assert!(trial.live_count > 50, "{trial:?}");
     }
+
+    /// Four frames of a turn show posters that hang in another part of the building as well.
+    #[test]
+    fn a_poster_that_hangs_elsewhere_too_is_no_place() {
+        let trial = run(&draw(3, 4));
+        assert!(trial.fault().is_none(), "{trial:?}");
+        assert!(trial.final_count > 45, "{trial:?}");
+    }
 }

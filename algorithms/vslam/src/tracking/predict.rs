@@ -6,7 +6,7 @@ use nalgebra::UnitQuaternion;
 use super::refine::STEP_KEPT;
 use super::{TrackedFrame, Whereabouts};
 use crate::VslamMap;
-use crate::held::{MISFIT_RATIO_MAX, are_placing, misfit};
+use crate::held::{are_placing, misfit};
 use crate::map::Place;
 
 /// Velocity is carried on for at most this many frame intervals.
@@ -16,6 +16,8 @@ const EXTRAPOLATION_MAX: f64 = 4.0;
 const TURN_ERROR_RAD_MAX: f64 = 0.1;
 /// How much of a frame's misfit enters into what is usual.
 const MISFIT_LEARNED: f64 = 0.1;
+/// A doubtful pose of which the points miss by so much more than usual was found by chance.
+const MISFIT_RATIO_MAX: f64 = 1.8;
 /// A camera that only turns may go on for so long; what it does beside is not known.
 const UNPLACED_MAX_S: f64 = 1.0;
 
