@@ -172,7 +172,6 @@ struct Drift {
 impl Drift {
     fn of(map: &VslamMap, keyframe: &Keyframe, found: &Recognition) -> Option<Self> {
         let target_from_source: &Similarity<Map, Map> = &found.target_from_source;
-        let depths = map.sorted_depths(keyframe.id);
         let since = map.keyframes().skip_while(|one| one.id < found.place);
         let centres: Vec<_> = since.map(Keyframe::centre_in_map).collect();
         let steps = centres.windows(2).map(|pair| (pair[1] - pair[0]).norm());
@@ -180,7 +179,7 @@ impl Drift {
         Some(Self {
             distance: (*target_from_source * centre - centre).norm(),
             way: steps.sum(),
-            depth: *depths.get(depths.len() / 2)?,
+            depth: map.median_depth(keyframe.id)?,
             turn_rad: target_from_source.rotation().angle(),
             log_scale: target_from_source.scale().ln(),
         })

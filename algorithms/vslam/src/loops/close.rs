@@ -37,8 +37,7 @@ pub(super) fn close(
     let moved = companions(map, found.keyframe);
     let before = graph::poses(map);
     let mut relations = graph::relations(map, &before, links);
-    let depths = map.sorted_depths(found.place);
-    let depth = depths.get(depths.len() / 2).copied().unwrap_or(1.0);
+    let depth = map.median_depth(found.place).unwrap_or(1.0);
     let fixed = found.place;
 
     let first_moves: Moves = moved

@@ -71,6 +71,12 @@ impl VslamMap {
         ids
     }
 
+    /// How far before a keyframe its points lie, in the median; `None` if it has none.
+    pub(crate) fn median_depth(&self, id: KeyframeId) -> Option<f64> {
+        let depths = self.sorted_depths(id);
+        depths.get(depths.len() / 2).copied()
+    }
+
     /// How far before a keyframe its points lie, nearest first.
     pub(crate) fn sorted_depths(&self, id: KeyframeId) -> Vec<f64> {
         let Some(keyframe) = self.keyframe(id) else {

@@ -35,8 +35,7 @@ const RATIOS: std::ops::Range<f64> = 0.05..20.0;
 /// Adds points that the keyframe and one of those nearest to it see, without regard to parallax;
 /// returns them.
 pub(crate) fn add_directions(optics: &Optics, map: &mut VslamMap, id: KeyframeId) -> Vec<PointId> {
-    let depths = map.sorted_depths(id);
-    let Some(depth_median) = depths.get(depths.len() / 2).filter(|depth| **depth > 0.0) else {
+    let Some(depth_median) = map.median_depth(id).filter(|depth| *depth > 0.0) else {
         return Vec::new();
     };
     let expected = ExpectedRange {

@@ -67,8 +67,7 @@ impl Settling {
         let Some(keyframe) = map.keyframe(newest) else {
             return;
         };
-        let depths = map.sorted_depths(newest);
-        let depth = depths.get(depths.len() / 2).copied().unwrap_or(1.0).abs();
+        let depth = map.median_depth(newest).unwrap_or(1.0).abs();
         let way = keyframe.centre_in_map() - before.inverse().translation();
         let ranged = keyframe.points().filter_map(|point| map.point(point));
         self.take(Adjusted {

@@ -31,8 +31,7 @@ pub(super) fn is_sure(
         return false;
     }
     let sigma = place_sigma(map, &tracked.camera_from_map, observations);
-    let depths = map.sorted_depths(tracked.reference);
-    let depth = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
+    let depth = map.median_depth(tracked.reference).unwrap_or(0.0);
     sigma.is_some_and(|sigma| {
         let way = way(map, trajectory, STEP_SIGMAS * sigma);
         sigma <= WAY_SHARE_MAX * way.max(WAY_DEPTHS_MIN * depth)

@@ -65,8 +65,7 @@ fn expected_count(map: &VslamMap, reference: &Keyframe) -> usize {
 
 /// How far the camera is from the nearest of the newest keyframes, in depths of what it sees.
 fn motion(map: &VslamMap, tracked: &Tracked) -> f64 {
-    let depths = map.sorted_depths(tracked.reference);
-    let depth = depths.get(depths.len() / 2).copied().unwrap_or(1.0);
+    let depth = map.median_depth(tracked.reference).unwrap_or(1.0);
     map.keyframes()
         .rev()
         .take(RECENT_KEYFRAMES)

@@ -29,8 +29,7 @@ pub(crate) struct Whereabouts {
 
 impl Whereabouts {
     fn prior(&self, map: &VslamMap) -> PositionPrior {
-        let depths = map.sorted_depths(self.keyframe);
-        let depth = depths.get(depths.len() / 2).copied().unwrap_or(1.0);
+        let depth = map.median_depth(self.keyframe).unwrap_or(1.0);
         let step = self.expected_in_map - self.last_in_map;
         PositionPrior {
             centre_in_world: self.last_in_map + step * STEP_KEPT,

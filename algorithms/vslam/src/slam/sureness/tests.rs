@@ -18,10 +18,10 @@ fn point(idx: usize) -> Vector3<f64> {
     Vector3::new(0.25 * column - 0.5, 0.3 * row - 0.45, 1.0) * (3.0 + 0.2 * column)
 }
 
-/// Keypoints that miss these points by so many standard deviations.
-fn observations(off: f64) -> Vec<Observation> {
+/// Keypoints that miss these points by half a standard deviation.
+fn observations() -> Vec<Observation> {
     let observation = |idx| Observation {
-        position: point(idx).xy() / point(idx).z + Vector2::x() * (off * SIGMA),
+        position: point(idx).xy() / point(idx).z + Vector2::x() * (0.5 * SIGMA),
         position_px: Vector2::zeros(),
         sigma: SIGMA,
         level: 0,
@@ -37,7 +37,7 @@ fn map() -> (VslamMap, KeyframeId) {
     let frame = Frame {
         frame_idx: 0,
         captured_at: Timestamp::default(),
-        observations: observations(0.5),
+        observations: observations(),
         grid: PlaneGrid::default(),
     };
     let mut map = VslamMap::new(MapId(0), KeyframeId(0), PointId(0));
@@ -75,8 +75,8 @@ fn steps(map: &VslamMap, keyframe: KeyframeId, count: usize, length: f64) -> Vec
 }
 
 /// A frame where the keyframe is, and what it should show.
-fn seen(map: &VslamMap, off: f64, expected_count: usize) -> (Vec<Observation>, Tracked) {
-    let mut seen = observations(off);
+fn seen(map: &VslamMap, expected_count: usize) -> (Vec<Observation>, Tracked) {
+    let mut seen = observations();
     for (one, point) in seen.iter_mut().zip(map.points()) {
         one.point = Some(point.id());
     }
@@ -96,7 +96,7 @@ fn seen(map: &VslamMap, off: f64, expected_count: usize) -> (Vec<Observation>, T
 #[test]
 fn a_camera_that_went_a_short_way_is_placed_well_or_not_at_all() {
     let (map, keyframe) = map();
-    let (observations, tracked) = seen(&map, 0.5, POINTS);
+    let (observations, tracked) = seen(&map, POINTS);
     let sigma = place_sigma(&map, &tracked.camera_from_map, &observations).unwrap();
     let sure = |count, length| {
         let trajectory = steps(&map, keyframe, count, length);
@@ -118,7 +118,7 @@ fn a_camera_that_went_a_short_way_is_placed_well_or_not_at_all() {
 #[test]
 fn a_camera_that_hovers_is_placed_by_what_it_sees() {
     let (map, _) = map();
-    let (mut observations, tracked) = seen(&map, 0.5, POINTS);
+    let (mut observations, tracked) = seen(&map, POINTS);
     assert!(!is_sure(&map, &[], (&observations, &tracked)));
     for observation in &mut observations {
         observation.sigma = 0.1 * SIGMA;
@@ -129,7 +129,7 @@ fn a_camera_that_hovers_is_placed_by_what_it_sees() {
 #[test]
 fn the_way_in_another_map_does_not_count() {
     let (map, keyframe) = map();
-    let (observations, tracked) = seen(&map, 0.5, POINTS);
+    let (observations, tracked) = seen(&map, POINTS);
     let mut trajectory = steps(&map, keyframe, 90, 1.0);
     for record in &mut trajectory {
         record.map_id = MapId(7);
@@ -142,7 +142,7 @@ fn few_of_many_that_should_be_there_are_of_another_place() {
     let (map, keyframe) = map();
     let trajectory = steps(&map, keyframe, 90, 1.0);
     let sure = |expected_count| {
-        let (observations, tracked) = seen(&map, 0.5, expected_count);
+        let (observations, tracked) = seen(&map, expected_count);
         is_sure(&map, &trajectory, (&observations, &tracked))
     };
     assert!(sure(3 * POINTS));
