@@ -1,7 +1,7 @@
 //! From correspondences to a start, or to the reason why there is none.
 
 use geometry::{Camera, Transform};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use rand::Rng;
 
 use super::essential::Essential;
@@ -138,7 +138,8 @@ fn criterion<M: Model>(fit: &Option<Fit<M>>, explained: &[Pair], sigma: f64) -> 
     })
 }
 
-/// A pose, and the pairs that it explains with a point in front of both cameras.
+/// A pose, the pairs that it explains with a point in front of both cameras, and how well it
+/// explains all of them.
 struct Candidate {
     pose: Transform<Camera, Camera>,
     point_count: usize,
@@ -146,10 +147,6 @@ struct Candidate {
 }
 
 impl Candidate {
-    /// Pairs whose rays are closer to parallel than this do not vote: noise decides where they
-    /// meet.
-    const PARALLAX_SINE_MIN: f64 = 0.003;
-
     fn new(pose: Transform<Camera, Camera>, pairs: &[Pair], sigma: f64) -> Self {
         let essential = Essential::of_pose(&pose);
         let rotation = pose.rotation_matrix();
@@ -160,10 +157,10 @@ impl Candidate {
         };
         for pair in pairs {
             let squared = essential.residual_squared(pair) / (sigma * sigma);
-            let fits = squared <= Essential::CHI_SQUARED_MAX
-                && is_in_front(&rotation, pose.translation(), pair);
-            candidate.point_count += usize::from(fits);
-            candidate.cost += if fits {
+            let meeting = Meeting::of(&rotation, pose.translation(), pair);
+            let fits = squared <= Essential::CHI_SQUARED_MAX;
+            candidate.point_count += usize::from(fits && meeting == Meeting::InFront);
+            candidate.cost += if fits && meeting != Meeting::Behind {
                 squared
             } else {
                 Essential::CHI_SQUARED_MAX
@@ -179,17 +176,39 @@ impl Candidate {
     }
 }
 
-/// Whether the rays meet, clearly, in front of both cameras.
-fn is_in_front(rotation: &nalgebra::Matrix3<f64>, translation: &Vector3<f64>, pair: &Pair) -> bool {
-    let turned = rotation * pair.first;
-    let normal = pair.second.cross(&turned);
-    let sine_squared = normal.norm_squared() / (turned.norm_squared() * pair.second.norm_squared());
-    // λ₂ q = λ₁ R p + t, crossed with q and with R p.
-    let first_depth = -pair.second.cross(translation).dot(&normal);
-    let second_depth = -turned.cross(translation).dot(&normal);
-    sine_squared > Candidate::PARALLAX_SINE_MIN * Candidate::PARALLAX_SINE_MIN
-        && first_depth > 0.0
-        && second_depth > 0.0
+/// Where the rays of a pair meet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Meeting {
+    /// Clearly, before both cameras.
+    InFront,
+    /// Clearly, behind one of them at least.
+    Behind,
+    /// Nowhere that noise would leave them. That speaks for no pose and against none: if it did
+    /// speak against, of a camera that hardly moved the pose would win that invents parallax.
+    FarAway,
+}
+
+impl Meeting {
+    /// Rays closer to parallel than this have no say: noise decides where they meet.
+    const PARALLAX_SINE_MIN: f64 = 0.003;
+
+    fn of(rotation: &Matrix3<f64>, translation: &Vector3<f64>, pair: &Pair) -> Self {
+        let turned = rotation * pair.first;
+        let normal = pair.second.cross(&turned);
+        let lengths_squared = turned.norm_squared() * pair.second.norm_squared();
+        let sine_squared = normal.norm_squared() / lengths_squared;
+        if sine_squared <= Self::PARALLAX_SINE_MIN * Self::PARALLAX_SINE_MIN {
+            return Self::FarAway;
+        }
+        // λ₂ q = λ₁ R p + t, crossed with q and with R p.
+        let first_depth = -pair.second.cross(translation).dot(&normal);
+        let second_depth = -turned.cross(translation).dot(&normal);
+        if first_depth > 0.0 && second_depth > 0.0 {
+            Self::InFront
+        } else {
+            Self::Behind
+        }
+    }
 }
 
 /// The refined pose with the most points, if no other pose comes close.
@@ -325,4 +344,40 @@ fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector2};
+
+    use super::*;
+
+    /// What cameras see that stand 2 cm apart: points 20 m away, and a few at 2 m.
+    fn pairs(pose: &Transform<Camera, Camera>) -> Vec<Pair> {
+        let position = |idx: usize| Vector2::new((idx % 10) as f64, (idx / 10) as f64) * 0.05;
+        let pair = |idx: usize| {
+            let depth = if idx.is_multiple_of(10) { 2.0 } else { 20.0 };
+            let first = position(idx);
+            let in_second = *pose * (first.push(1.0) * depth);
+            Pair::from(&Correspondence {
+                first,
+                second: in_second.xy() / in_second.z,
+            })
+        };
+        (0..100).map(pair).collect()
+    }
+
+    #[test]
+    fn what_shows_no_parallax_speaks_neither_for_a_pose_nor_against_it() {
+        let pose = Transform::new(UnitQuaternion::identity(), Vector3::x() * 0.02);
+        let pairs = pairs(&pose);
+        let right = Candidate::new(pose, &pairs, 1e-3);
+        assert_eq!(right.point_count, 10);
+        assert!(right.cost < 1e-9);
+        // Those that show some are behind the camera of this one.
+        let opposite = Transform::new(UnitQuaternion::identity(), Vector3::x() * -0.02);
+        let wrong = Candidate::new(opposite, &pairs, 1e-3);
+        assert_eq!(wrong.point_count, 0);
+        assert!((wrong.cost - 10.0 * Essential::CHI_SQUARED_MAX).abs() < 1e-9);
+    }
 }
