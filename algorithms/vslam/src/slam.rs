@@ -9,6 +9,7 @@ mod prior;
 mod recall;
 mod revisit;
 mod state;
+mod strays;
 mod sureness;
 #[cfg(test)]
 mod tests;
@@ -207,12 +208,17 @@ impl Vslam {
         maps.max_by_key(|map| map.rank()).unwrap_or(&self.map)
     }
 
-    /// Every frame so far with its pose after all corrections.
+    /// Every frame so far with its pose after all corrections; without one where it was found
+    /// afterwards at a place from which the frames around it are not to be reached.
     pub fn trajectory(&self) -> Vec<TrajectoryEntry> {
-        (0..)
+        let mut entries: Vec<TrajectoryEntry> = (0..)
             .zip(&self.trajectory)
             .map(|(frame_idx, record)| record.entry(frame_idx, self.maps()))
-            .collect()
+            .collect();
+        for map in self.maps() {
+            strays::clear(map, &self.trajectory, &mut entries);
+        }
+        entries
     }
 
     fn start(&mut self, mut frame: Frame, last_at: Option<Timestamp>) -> Outcome {
@@ -296,6 +302,7 @@ impl Vslam {
             captured_at,
             map_id: self.map.id(),
             place,
+            was_tracked: place.is_some(),
         });
         let pose = tracked
             .as_ref()

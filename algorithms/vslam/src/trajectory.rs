@@ -12,6 +12,8 @@ pub(crate) struct FrameRecord {
     pub(crate) captured_at: Timestamp,
     pub(crate) map_id: MapId,
     pub(crate) place: Option<Place>,
+    /// Whether it had a pose at once; otherwise it was found afterwards, if at all.
+    pub(crate) was_tracked: bool,
 }
 
 impl FrameRecord {

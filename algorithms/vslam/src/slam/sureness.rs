@@ -1,5 +1,7 @@
 //! Whether a place counts that was found afterwards, when nothing but the image spoke for it.
 
+use nalgebra::Vector3;
+
 use crate::held::place_sigma;
 use crate::tracking::Tracked;
 use crate::trajectory::FrameRecord;
@@ -7,9 +9,9 @@ use crate::{Observation, VslamMap};
 
 /// A place may be uncertain by this share of the way that the camera went: even four times as much
 /// does not put it far beside that way.
-const WAY_SHARE_MAX: f64 = 1.0 / 80.0;
+pub(super) const WAY_SHARE_MAX: f64 = 1.0 / 80.0;
 /// A camera that hovers goes no way; then this share of the depth that it sees is in its place.
-const WAY_DEPTHS_MIN: f64 = 0.3;
+pub(super) const WAY_DEPTHS_MIN: f64 = 0.3;
 /// Places that are looked at for the way, at most.
 const WAY_PLACES_MAX: usize = 1000;
 /// A step is one if it is longer than this many standard deviations; others are noise.
@@ -44,15 +46,20 @@ fn way(map: &VslamMap, trajectory: &[FrameRecord], step_min: f64) -> f64 {
     let stride = of_map().count().div_ceil(WAY_PLACES_MAX).max(1);
     let places = of_map().step_by(stride).filter_map(|one| one.place);
     let centres = places.filter_map(|place| Some(*map.pose(&place)?.inverse().translation()));
-    let (mut way, mut last) = (0.0, None);
-    for centre in centres {
-        let step = (centre - *last.get_or_insert(centre)).norm();
+    length(centres, step_min)
+}
+
+/// How long a way through these places is, by steps of at least this length.
+pub(super) fn length(places: impl Iterator<Item = Vector3<f64>>, step_min: f64) -> f64 {
+    let (mut length, mut last) = (0.0, None);
+    for place in places {
+        let step = (place - *last.get_or_insert(place)).norm();
         if step > step_min {
-            way += step;
-            last = Some(centre);
+            length += step;
+            last = Some(place);
         }
     }
-    way
+    length
 }
 
 #[cfg(test)]

@@ -69,6 +69,7 @@ fn steps(map: &VslamMap, keyframe: KeyframeId, count: usize, length: f64) -> Vec
             captured_at: Timestamp::default(),
             map_id: map.id(),
             place: map.place(keyframe, &moved),
+            was_tracked: true,
         }
     };
     (0..=count).map(record).collect()

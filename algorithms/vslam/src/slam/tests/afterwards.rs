@@ -26,6 +26,7 @@ fn walked() -> (Vslam, Frame) {
         captured_at: frame.captured_at,
         map_id: slam.map.id(),
         place: None,
+        was_tracked: false,
     });
     (slam, frame)
 }
