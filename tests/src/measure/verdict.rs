@@ -42,7 +42,7 @@ impl Verdict {
 }
 
 /// Compares each map's live poses with the truth after Sim(3) alignment of that map, as it was
-/// between two corrections.
+/// between two corrections; the distance travelled is that in the map with all its corrections.
 pub fn verdict(poses: &[LivePose]) -> Verdict {
     let mut verdict = Verdict::default();
     let key = |pose: &LivePose| (pose.map_id, pose.map_revision);
@@ -52,10 +52,11 @@ pub fn verdict(poses: &[LivePose]) -> Verdict {
     for wanted in keys {
         let of_map = |pose: &&LivePose| key(pose) == wanted;
         let of_map: Vec<&LivePose> = poses.iter().filter(of_map).collect();
-        let distance_m = distance_m(&of_map);
-        if of_map.len() < FRAME_COUNT_MIN || distance_m < DISTANCE_M_MIN {
+        if of_map.len() < FRAME_COUNT_MIN || distance_m(&of_map) < DISTANCE_M_MIN {
             continue;
         }
+        let revisions = poses.iter().filter(|pose| pose.map_id == wanted.0);
+        let distance_m = distance_m(&revisions.collect::<Vec<_>>());
         let places = of_map.iter().map(|pose| {
             let truth = *pose.site_from_camera.translation();
             (truth, *pose.map_from_camera.translation(), 1.0)
@@ -137,6 +138,15 @@ mod tests {
         }
         poses.extend(corrected);
         assert!(verdict(&poses).worst_share < 1e-9);
+        // A correction shortens no way.
+        let jump = |frame_idx| Vector3::z() * if frame_idx == 17 { 0.15 } else { 0.0 };
+        let mut longer = poses.clone();
+        longer.extend(arc(1, jump).into_iter().map(|pose| LivePose {
+            map_revision: 2,
+            ..pose
+        }));
+        let verdict_of_longer = verdict(&longer);
+        assert!(!verdict_of_longer.is_wrong() && verdict_of_longer.distance_m > 4.0);
         let jump = |frame_idx| Vector3::z() * frame_idx as f64;
         poses.extend(arc(2, jump).into_iter().take(5));
         assert_eq!(verdict(&poses).map_count, 3);
