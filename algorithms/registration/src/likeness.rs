@@ -61,6 +61,53 @@ impl Evenness {
 /// Of what one witness says, that may agree or not.
 const SIGMA_OF_ONE: f64 = 0.5;
 
+/// Whether corners stand where they should, whatever they look like.
+///
+/// A place shows about as many corners beside where one should be as another place does; only
+/// exactly there it shows more.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Bareness {
+    /// Places where a corner should be, and those of them where none is.
+    pub asked_count: usize,
+    pub bare_count: usize,
+    /// The same of places beside them.
+    pub beside_count: usize,
+    pub bare_beside_count: usize,
+}
+
+/// Fewer places in one view are of one thing or two, and tell nothing.
+const BARENESS_COUNT_MIN: usize = 30;
+/// Where corners stand as close as this everywhere, they tell nothing.
+const BARE_BESIDE_SHARE_MIN: f64 = 0.1;
+
+impl Bareness {
+    /// Of several views together.
+    pub(crate) fn of_all<'a>(views: impl IntoIterator<Item = &'a Self>) -> Self {
+        let mut all = Self::default();
+        let telling = views.into_iter();
+        for view in telling.filter(|view| view.asked_count >= BARENESS_COUNT_MIN) {
+            all.add(view);
+        }
+        all
+    }
+
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.asked_count += other.asked_count;
+        self.bare_count += other.bare_count;
+        self.beside_count += other.beside_count;
+        self.bare_beside_count += other.bare_beside_count;
+    }
+
+    /// How often nothing is where a corner should be, relative to places beside: 1 of a place that
+    /// has nothing to do with the other. `None` if that cannot be told.
+    pub(crate) fn ratio(&self) -> Option<f64> {
+        let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+        let beside = share(self.bare_beside_count, self.beside_count);
+        let is_told = self.asked_count > 0 && beside >= BARE_BESIDE_SHARE_MIN;
+        is_told.then(|| share(self.bare_count, self.asked_count) / beside)
+    }
+}
+
 /// What all witnesses say together, of either place about the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Likeness {
@@ -70,12 +117,19 @@ pub struct Likeness {
     pub extent: f64,
     /// Standard deviation of `extent`.
     pub sigma: f64,
+    /// How often nothing is where a corner should be, relative to places beside: 1 of a place that
+    /// has nothing to do with the other; `None` where that cannot be told.
+    pub bareness: Option<f64>,
 }
 
 /// The share of what both maps show that looks alike in one place. Of rendered rooms that share
 /// furniture and posters, one pair in a hundred comes to more; nearly all common views from within
 /// 30° do, by a standard deviation, and real ones come to 0.7.
 pub(crate) const EXTENT_MIN: f64 = 0.4;
+
+/// Rendered rooms of one plan come to 0.85, and five in a hundred pairs to less; common views from
+/// within 30° come to 0.35, and none of them to more.
+const BARENESS_MAX: f64 = 0.7;
 
 impl Likeness {
     /// Each kind of witness counts by their number; few of them leave much to luck.
@@ -96,18 +150,23 @@ impl Likeness {
             count,
             extent,
             sigma: of_agreeing.max(of_all),
+            bareness: None,
         }
     }
 
     /// Whether the place is like the other over at least this share, although a standard deviation
-    /// of it may be luck.
+    /// of it may be luck, and its corners are not missing.
     pub fn exceeds(&self, extent_min: f64) -> bool {
-        self.extent - self.sigma >= extent_min
+        self.extent - self.sigma >= extent_min && !self.lacks_corners()
     }
 
     /// Whether it is not, although a standard deviation may be bad luck.
     pub fn falls_short_of(&self, extent_min: f64) -> bool {
-        self.extent + self.sigma < extent_min
+        self.extent + self.sigma < extent_min || self.lacks_corners()
+    }
+
+    fn lacks_corners(&self) -> bool {
+        self.bareness.is_some_and(|ratio| ratio > BARENESS_MAX)
     }
 }
 

@@ -121,3 +121,39 @@ fn points_without_descriptors_are_not_looked_at() {
     let found = second.sought_in(&first, 1.2, 64);
     assert!((800..=840).contains(&found.count), "{found:?}");
 }
+
+/// Goal: corners that are not where they should be speak against a place, and views that show few
+/// of them, or corners everywhere, do not.
+#[test]
+fn a_place_without_the_corners_is_another_place() {
+    let view = |bare_count: usize, bare_beside_count: usize| Bareness {
+        asked_count: 100,
+        bare_count,
+        beside_count: 800,
+        bare_beside_count,
+    };
+    let likeness = |views: &[Bareness]| Likeness {
+        count: 1000,
+        extent: 0.9,
+        sigma: 0.1,
+        bareness: Bareness::of_all(views).ratio(),
+    };
+    let right = likeness(&[view(30, 640), view(20, 560)]);
+    assert!((right.bareness.unwrap() - 0.333).abs() < 0.001, "{right:?}");
+    assert!(right.exceeds(EXTENT_MIN) && !right.falls_short_of(EXTENT_MIN));
+    let wrong = likeness(&[view(60, 640), view(70, 560)]);
+    assert!(!wrong.exceeds(EXTENT_MIN) && wrong.falls_short_of(EXTENT_MIN));
+    let few = Bareness {
+        asked_count: 20,
+        bare_count: 20,
+        beside_count: 160,
+        bare_beside_count: 160,
+    };
+    assert_eq!(likeness(&[few, few, few]).bareness, None);
+    assert_eq!(
+        likeness(&[view(5, 40)]).bareness,
+        None,
+        "corners everywhere"
+    );
+    assert!(likeness(&[]).exceeds(EXTENT_MIN));
+}

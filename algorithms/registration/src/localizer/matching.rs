@@ -429,4 +429,10 @@ impl View {
             && factor * distance_factor_max > 1.0;
         (inside && seen_alike).then_some(position)
     }
+
+    /// Whether a landmark is at most so many times nearer or farther than when it was seen first.
+    pub fn shows_at_size(&self, landmark: &PlacedLandmark, distance_factor_max: f64) -> bool {
+        let factor = (landmark.point - self.position).norm() / landmark.distance;
+        factor < distance_factor_max && factor * distance_factor_max > 1.0
+    }
 }

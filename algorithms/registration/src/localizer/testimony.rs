@@ -5,12 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use features::Descriptor;
 use geometry::{Camera, Similarity, Transform};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::matching::{FeatureIndex, View};
 use super::types::{ChunkIdx, KeyframeObservation, LocalizerSettings};
-use crate::likeness::{Evenness, Likeness, Things};
+use crate::likeness::{Bareness, Evenness, Likeness, Things};
 
 /// Only landmarks seen from nearly where they were seen first: cosine of the angle, and how many
 /// times nearer or farther.
@@ -20,6 +20,11 @@ const DISTANCE_FACTOR_MAX: f64 = 3.0;
 /// the picture shows nothing.
 const TEXTURE_RADIUS: f64 = 0.03;
 const TEXTURE_COUNT_MIN: usize = 3;
+/// From much nearer or farther, corners are others, or none.
+const CORNER_DISTANCE_FACTOR_MAX: f64 = 1.4;
+/// Places beside a corner, and how far they are, on the ideal plane.
+const BESIDE_COUNT: u8 = 8;
+const BESIDE_DISTANCE: f64 = 0.05;
 /// How far a point of the own map may be from the landmark that it is, in depths of the scene.
 const REACH_DEPTHS: f64 = 0.04;
 /// Own points nearer to each other, in depths of the scene, are one that several keyframes saw.
@@ -30,6 +35,7 @@ const SAME_DEPTHS: f64 = 0.004;
 pub(super) struct Testimony {
     landmarks: Vec<Witness>,
     own_points: Vec<OwnPoint>,
+    bareness: Bareness,
 }
 
 /// A landmark that a keyframe should show.
@@ -76,9 +82,11 @@ impl Testimony {
                 descriptor: feature.descriptor,
             })
         });
+        let (landmarks, bareness) = ask(features, anchor, camera_from_anchor, settings);
         Self {
-            landmarks: ask(features, anchor, camera_from_anchor, settings),
+            landmarks,
             own_points: own_points.collect(),
+            bareness,
         }
     }
 
@@ -96,9 +104,9 @@ fn ask(
     anchor: &AnchorLandmarks,
     camera_from_anchor: &Transform<Camera, AnchorMap>,
     settings: &LocalizerSettings,
-) -> Vec<Witness> {
+) -> (Vec<Witness>, Bareness) {
     let view = View::new(features, camera_from_anchor, 0.0);
-    let mut witnesses = Vec::new();
+    let (mut witnesses, mut bareness) = (Vec::new(), Bareness::default());
     for (chunk, stored) in anchor.chunks_near(&view.position, settings.predicted_landmark_count_max)
     {
         let (centre, radius) = stored.bounds();
@@ -110,6 +118,13 @@ fn ask(
             let Some(position) = position else {
                 continue;
             };
+            if view.shows_at_size(landmark, CORNER_DISTANCE_FACTOR_MAX) {
+                bareness.add(&look_for_corner(
+                    features,
+                    &position,
+                    settings.refine_radius,
+                ));
+            }
             let mut near_count = 0;
             features.for_each_near(&position, TEXTURE_RADIUS, |_| near_count += 1);
             if near_count < TEXTURE_COUNT_MIN {
@@ -128,7 +143,31 @@ fn ask(
             });
         }
     }
-    witnesses
+    (witnesses, bareness)
+}
+
+/// Whether there is any corner where one should be, and beside it.
+fn look_for_corner(features: &FeatureIndex, position: &Vector2<f64>, radius: f64) -> Bareness {
+    let is_bare = |place: &Vector2<f64>| {
+        let mut is_bare = true;
+        features.for_each_near(place, radius, |_| is_bare = false);
+        is_bare
+    };
+    let (lowest, highest) = features.bounds();
+    let mut found = Bareness {
+        asked_count: 1,
+        bare_count: usize::from(is_bare(position)),
+        ..Bareness::default()
+    };
+    for direction in 0..BESIDE_COUNT {
+        let angle = std::f64::consts::TAU * f64::from(direction) / f64::from(BESIDE_COUNT);
+        let place = position + Vector2::new(angle.cos(), angle.sin()) * BESIDE_DISTANCE;
+        if (0..2).all(|axis| (lowest[axis]..=highest[axis]).contains(&place[axis])) {
+            found.beside_count += 1;
+            found.bare_beside_count += usize::from(is_bare(&place));
+        }
+    }
+    found
 }
 
 /// What several keyframes say together of the place where they put the own map.
@@ -145,11 +184,16 @@ pub(super) fn weigh(
     let (points, descriptors) = landmarks_among(&own_points, statements, anchor, reach, settings);
     let own = Things::new(&own_points, &own_descriptors);
     let theirs = Things::new(&points, &descriptors);
-    Likeness::of([
+    let likeness = Likeness::of([
         in_view,
         own.sought_in(&theirs, reach, settings.search_distance_max),
         theirs.sought_in(&own, reach, settings.search_distance_max),
-    ])
+    ]);
+    let views = statements.iter().map(|one| &one.testimony.bareness);
+    Likeness {
+        bareness: Bareness::of_all(views).ratio(),
+        ..likeness
+    }
 }
 
 /// A landmark agrees if one of the keyframes shows it.

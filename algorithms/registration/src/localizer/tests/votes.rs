@@ -345,20 +345,22 @@ fn an_alignment_to_the_wrong_of_two_like_walls_is_overruled() {
         assert!(taken_in > Some(1.0), "{seed}: {taken_in:?}");
         scene.publish(&honest(0));
         // As long as nothing but the wall is in view, nobody can know.
-        let mut misfit_at = None;
+        let (mut misfit_at, mut revoked) = (None, false);
         let found_at = (4..60).find(|step| {
             let report = scene.step(*step);
             if report.verdict != Verdict::Accepted {
                 misfit_at.get_or_insert(*step);
             }
-            report.overruled
+            revoked |= report.revoked;
+            // What is given up makes place for what comes next.
+            report.overruled || (revoked && scene.estimate().is_some())
         });
         let found_at = found_at.unwrap_or_else(|| panic!("{seed}: not found out"));
         println!("misfit at {misfit_at:?}, overruled at {found_at}");
         let limit = misfit_at.unwrap() + RECOVERY_KEYFRAME_COUNT;
         assert!(found_at < limit, "{seed}: {misfit_at:?} {found_at}");
-        assert_eq!(scene.localizer.overruled_count(), 1);
-        assert_eq!(scene.localizer.jump_count(), 1);
+        assert_eq!(scene.localizer.overruled_count(), u64::from(!revoked));
+        assert_eq!(scene.localizer.jump_count(), u64::from(!revoked));
         assert!(scene.position_error().unwrap().0 < 0.1, "{seed}");
     }
 }
