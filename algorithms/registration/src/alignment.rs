@@ -75,7 +75,7 @@ pub enum Outcome {
     Refused {
         reason: Refusal,
         /// What was measured before the refusal, where it got that far.
-        quality: Option<Quality>,
+        quality: Option<Box<Quality>>,
     },
 }
 

@@ -75,7 +75,7 @@ pub(crate) struct Bareness {
     pub bare_beside_count: usize,
 }
 
-/// Fewer places in one view are of one thing or two, and tell nothing.
+/// Fewer places are of one thing or two, and tell nothing.
 const BARENESS_COUNT_MIN: usize = 30;
 /// Where corners stand as close as this everywhere, they tell nothing.
 const BARE_BESIDE_SHARE_MIN: f64 = 0.1;
@@ -84,8 +84,7 @@ impl Bareness {
     /// Of several views together.
     pub(crate) fn of_all<'a>(views: impl IntoIterator<Item = &'a Self>) -> Self {
         let mut all = Self::default();
-        let telling = views.into_iter();
-        for view in telling.filter(|view| view.asked_count >= BARENESS_COUNT_MIN) {
+        for view in views {
             all.add(view);
         }
         all
@@ -103,8 +102,32 @@ impl Bareness {
     pub(crate) fn ratio(&self) -> Option<f64> {
         let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
         let beside = share(self.bare_beside_count, self.beside_count);
-        let is_told = self.asked_count > 0 && beside >= BARE_BESIDE_SHARE_MIN;
+        let is_told = self.asked_count >= BARENESS_COUNT_MIN && beside >= BARE_BESIDE_SHARE_MIN;
         is_told.then(|| share(self.bare_count, self.asked_count) / beside)
+    }
+}
+
+/// Whether points that look otherwise in the other map are there at all.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Vacancy {
+    unlike: Bareness,
+    /// Points that look alike, and those of them that lie as near as is asked of the others.
+    alike_count: usize,
+    coincident_count: usize,
+}
+
+/// Where maps are so coarse that fewer of the same points coincide, the others tell nothing.
+const COINCIDENT_SHARE_MIN: f64 = 0.45;
+
+impl Vacancy {
+    /// Of both maps together; `None` if it cannot be told.
+    pub(crate) fn ratio(of: [Self; 2]) -> Option<f64> {
+        let sum = |count: fn(&Self) -> usize| of.iter().map(count).sum::<usize>() as f64;
+        let alike = sum(|one| one.alike_count);
+        if sum(|one| one.coincident_count) < COINCIDENT_SHARE_MIN * alike {
+            return None;
+        }
+        Bareness::of_all(of.iter().map(|one| &one.unlike)).ratio()
     }
 }
 
@@ -120,16 +143,23 @@ pub struct Likeness {
     /// How often nothing is where a corner should be, relative to places beside: 1 of a place that
     /// has nothing to do with the other; `None` where that cannot be told.
     pub bareness: Option<f64>,
+    /// The same of points in the two maps that look otherwise.
+    pub vacancy: Option<f64>,
 }
 
 /// The share of what both maps show that looks alike in one place. Of rendered rooms that share
 /// furniture and posters, one pair in a hundred comes to more; nearly all common views from within
 /// 30° do, by a standard deviation, and real ones come to 0.7.
-pub(crate) const EXTENT_MIN: f64 = 0.4;
+pub(crate) const EXTENT_MIN: f64 = 0.35;
 
-/// Rendered rooms of one plan come to 0.85, and five in a hundred pairs to less; common views from
-/// within 30° come to 0.35, and none of them to more.
-const BARENESS_MAX: f64 = 0.7;
+/// How much bareness and the least extent may come to together. Rendered rooms of one plan come to
+/// a bareness of 0.85, common views from within 30° to 0.36.
+const BARENESS_MAX: f64 = 1.1;
+/// How much bareness and least extent together may exceed the extent less half of the vacancy. All
+/// but two of 1,104 pairs of rendered rooms of one plan that are alike enough are beyond 0.83.
+const BARENESS_EXCESS_MAX: f64 = 0.755;
+/// Where nothing is known of it. Rendered rooms of one plan come to 0.85, common views to 0.55.
+const USUAL_VACANCY: f64 = 0.65;
 
 impl Likeness {
     /// Each kind of witness counts by their number; few of them leave much to luck.
@@ -151,22 +181,30 @@ impl Likeness {
             extent,
             sigma: of_agreeing.max(of_all),
             bareness: None,
+            vacancy: None,
         }
     }
 
     /// Whether the place is like the other over at least this share, although a standard deviation
     /// of it may be luck, and its corners are not missing.
     pub fn exceeds(&self, extent_min: f64) -> bool {
-        self.extent - self.sigma >= extent_min && !self.lacks_corners()
+        let extent = self.extent - self.sigma;
+        extent >= extent_min && self.shows_corners(extent, extent_min)
     }
 
     /// Whether it is not, although a standard deviation may be bad luck.
     pub fn falls_short_of(&self, extent_min: f64) -> bool {
-        self.extent + self.sigma < extent_min || self.lacks_corners()
+        let extent = self.extent + self.sigma;
+        extent < extent_min || !self.shows_corners(extent, extent_min)
     }
 
-    fn lacks_corners(&self) -> bool {
-        self.bareness.is_some_and(|ratio| ratio > BARENESS_MAX)
+    /// Witnesses that know nothing of each other: the less the one says, the more is asked of the
+    /// others.
+    fn shows_corners(&self, extent: f64, extent_min: f64) -> bool {
+        let vacancy = self.vacancy.unwrap_or(USUAL_VACANCY);
+        let balance_max = extent - 0.5 * vacancy + BARENESS_EXCESS_MAX;
+        self.bareness
+            .is_none_or(|it| it + extent_min <= balance_max.min(BARENESS_MAX))
     }
 }
 
@@ -181,6 +219,10 @@ pub(crate) struct Things<'a> {
 const COMPANY_COUNT_MIN: usize = 3;
 /// How far they may be, relative to what is asked for itself.
 const COMPANY_REACH: f64 = 1.25;
+/// How far a corner may be from itself if only its place is asked for, relative to the same.
+const CORNER_REACH: f64 = 0.25;
+/// So many things tell what is missing.
+const MISSED_COUNT_MAX: usize = 600;
 
 impl<'a> Things<'a> {
     /// - `descriptors`: of the first points; the others are not looked at.
@@ -217,6 +259,50 @@ impl<'a> Things<'a> {
             }));
         }
         Evenness::of(&points, &agree)
+    }
+
+    /// Asks each thing here that looks otherwise in the other map whether anything is there at all,
+    /// and beside it.
+    ///
+    /// A place shows corners where they should be even where a view from aside changes their looks;
+    /// another place does not.
+    pub fn missed_in(&self, other: &Things, reach: f64, distance_max: u32) -> Vacancy {
+        let mut found = Vacancy::default();
+        let mut near: Vec<Neighbour> = Vec::new();
+        let company_reach = (reach * COMPANY_REACH) as f32;
+        let corner_reach_squared = (reach * CORNER_REACH).powi(2) as f32;
+        let is_bare = |place: &Vector3<f64>| {
+            let corner = other.tree.nearest(to_single(place), corner_reach_squared);
+            corner.is_none()
+        };
+        let stride = self.points.len().div_ceil(MISSED_COUNT_MAX).max(1);
+        for (point, descriptor) in self.points.iter().zip(self.descriptors).step_by(stride) {
+            other
+                .tree
+                .within(to_single(point), company_reach, &mut near);
+            if near.len() < COMPANY_COUNT_MIN {
+                continue;
+            }
+            let alike = near.iter().filter(|one| {
+                let theirs = &other.descriptors[one.idx as usize];
+                f64::from(one.distance_squared) <= reach * reach
+                    && descriptor.distance(theirs) <= distance_max
+            });
+            let nearest = alike.map(|one| one.distance_squared).min_by(f32::total_cmp);
+            if let Some(distance_squared) = nearest {
+                found.alike_count += 1;
+                found.coincident_count += usize::from(distance_squared <= corner_reach_squared);
+                continue;
+            }
+            found.unlike.asked_count += 1;
+            found.unlike.bare_count += usize::from(is_bare(point));
+            for idx in 0..6 {
+                let shift = Vector3::ith(idx / 2, if idx % 2 == 0 { reach } else { -reach });
+                found.unlike.beside_count += 1;
+                found.unlike.bare_beside_count += usize::from(is_bare(&(point + shift)));
+            }
+        }
+        found
     }
 }
 

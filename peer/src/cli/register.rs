@@ -321,7 +321,7 @@ fn summarise(outcome: &Outcome, ms_preprocess: f64, ms_align: f64) -> RegisterSu
             Some(&alignment.quality),
             Some(alignment),
         ),
-        Outcome::Refused { reason, quality } => (reason.to_string(), quality.as_ref(), None),
+        Outcome::Refused { reason, quality } => (reason.to_string(), quality.as_deref(), None),
     };
     let evidence = quality.and_then(|quality| quality.evidence);
     let known = |value: f64| Some(value).filter(|value| value.is_finite());

@@ -85,7 +85,7 @@ fn few_witnesses_settle_nothing() {
         share_nearby: 1.0,
     };
     assert!(!Likeness::of([]).exceeds(EXTENT_MIN));
-    assert!(!Likeness::of([kind(10), kind(10)]).exceeds(EXTENT_MIN));
+    assert!(!Likeness::of([kind(9), kind(9)]).exceeds(EXTENT_MIN));
     assert!(Likeness::of([kind(15), kind(15)]).exceeds(EXTENT_MIN));
     let disagree = |count| {
         let share = 0.0;
@@ -122,38 +122,89 @@ fn points_without_descriptors_are_not_looked_at() {
     assert!((800..=840).contains(&found.count), "{found:?}");
 }
 
+fn seen_from(views: &[Bareness], extent: f64) -> Likeness {
+    Likeness {
+        count: 1000,
+        extent,
+        sigma: 0.1,
+        bareness: Bareness::of_all(views).ratio(),
+        vacancy: None,
+    }
+}
+
+fn view(asked_count: usize, bare_count: usize, bare_beside_count: usize) -> Bareness {
+    Bareness {
+        asked_count,
+        bare_count,
+        beside_count: 8 * asked_count,
+        bare_beside_count,
+    }
+}
+
 /// Goal: corners that are not where they should be speak against a place, and views that show few
 /// of them, or corners everywhere, do not.
 #[test]
 fn a_place_without_the_corners_is_another_place() {
-    let view = |bare_count: usize, bare_beside_count: usize| Bareness {
-        asked_count: 100,
-        bare_count,
-        beside_count: 800,
-        bare_beside_count,
-    };
-    let likeness = |views: &[Bareness]| Likeness {
-        count: 1000,
-        extent: 0.9,
-        sigma: 0.1,
-        bareness: Bareness::of_all(views).ratio(),
-    };
-    let right = likeness(&[view(30, 640), view(20, 560)]);
+    let right = seen_from(&[view(100, 30, 640), view(100, 20, 560)], 0.9);
     assert!((right.bareness.unwrap() - 0.333).abs() < 0.001, "{right:?}");
     assert!(right.exceeds(EXTENT_MIN) && !right.falls_short_of(EXTENT_MIN));
-    let wrong = likeness(&[view(60, 640), view(70, 560)]);
+    let wrong = seen_from(&[view(100, 60, 640), view(100, 70, 560)], 0.9);
     assert!(!wrong.exceeds(EXTENT_MIN) && wrong.falls_short_of(EXTENT_MIN));
-    let few = Bareness {
-        asked_count: 20,
-        bare_count: 20,
-        beside_count: 160,
-        bare_beside_count: 160,
-    };
-    assert_eq!(likeness(&[few, few, few]).bareness, None);
+    let few = seen_from(&[view(14, 14, 112), view(14, 14, 112)], 0.9);
+    assert_eq!(few.bareness, None);
+    let together = seen_from(&[view(14, 14, 112); 3], 0.9);
     assert_eq!(
-        likeness(&[view(5, 40)]).bareness,
-        None,
-        "corners everywhere"
+        together.bareness,
+        Some(1.0),
+        "in several views there are enough"
     );
-    assert!(likeness(&[]).exceeds(EXTENT_MIN));
+    let everywhere = seen_from(&[view(100, 5, 40)], 0.9);
+    assert_eq!(everywhere.bareness, None);
+    assert!(seen_from(&[], 0.9).exceeds(EXTENT_MIN));
+}
+
+/// Goal: what looks alike over little of the place needs its corners the more, and the more if
+/// points are missing too.
+#[test]
+fn the_less_is_alike_the_more_corners_are_asked_for() {
+    let half = [view(100, 50, 640)];
+    assert!(seen_from(&half, 0.7).exceeds(EXTENT_MIN));
+    assert!(!seen_from(&half, 0.5).exceeds(EXTENT_MIN));
+    assert!(
+        !seen_from(&half, 0.5).falls_short_of(EXTENT_MIN),
+        "unsettled"
+    );
+    let with = |vacancy: f64| Likeness {
+        vacancy: Some(vacancy),
+        ..seen_from(&half, 0.6)
+    };
+    assert!(with(0.5).exceeds(EXTENT_MIN));
+    assert!(!with(0.7).exceeds(EXTENT_MIN) && !with(0.7).falls_short_of(EXTENT_MIN));
+}
+
+/// Goal: what looks otherwise, but stands where it should, is told from what is not there.
+#[test]
+fn things_that_look_otherwise_are_not_missing() {
+    let (points, descriptors) = wall();
+    let other_looks: Vec<Descriptor> = descriptors
+        .iter()
+        .map(|one| Descriptor(one.0.map(|word| !word)))
+        .collect();
+    let elsewhere: Vec<Vector3<f64>> = points
+        .iter()
+        .map(|point| point + Vector3::new(0.41, 0.37, 0.0))
+        .collect();
+    let own = Things::new(&points, &descriptors);
+    let bareness = |places: &[Vector3<f64>]| {
+        let others = Things::new(places, &other_looks);
+        let found = own.missed_in(&others, 1.2, 64);
+        Vacancy::ratio([found, Vacancy::default()]).unwrap()
+    };
+    assert_eq!(bareness(&points), 0.0);
+    assert!(bareness(&elsewhere) > 0.9, "{}", bareness(&elsewhere));
+    let alike = own.missed_in(&own, 1.2, 64);
+    assert_eq!(
+        alike.unlike.asked_count, 0,
+        "only what looks otherwise is asked"
+    );
 }

@@ -15,6 +15,8 @@ const TWIN_DISTANCE: f64 = 0.05;
 const TWIN_POSITION: f64 = 0.01;
 /// A landmark is looked for only from within this angle of its first view (cosine).
 const VIEW_ANGLE_COSINE_MIN: f64 = 0.5;
+/// Only from so much nearer or farther.
+const VIEW_DISTANCE_FACTORS: [f64; 2] = [1.0 / DISTANCE_FACTOR_MAX, DISTANCE_FACTOR_MAX];
 
 /// A feature and the landmark that it may show.
 #[derive(Clone, Copy)]
@@ -403,17 +405,15 @@ impl View {
         centre.z > -radius && across - self.tangent_max * centre.z <= radius * secant
     }
 
+    /// Where a landmark is in view, if it is seen from about where it was seen first.
     fn project(&self, landmark: &PlacedLandmark) -> Option<Vector2<f64>> {
-        self.project_within(landmark, VIEW_ANGLE_COSINE_MIN, DISTANCE_FACTOR_MAX)
+        let seen = self.appearance(landmark)?;
+        seen.is_within(VIEW_ANGLE_COSINE_MIN, VIEW_DISTANCE_FACTORS)
+            .then_some(seen.position)
     }
 
-    /// Where a landmark is in view, if it is seen from about where it was seen first.
-    pub fn project_within(
-        &self,
-        landmark: &PlacedLandmark,
-        angle_cosine_min: f64,
-        distance_factor_max: f64,
-    ) -> Option<Vector2<f64>> {
+    /// Where a landmark is in view, and from how different a place than when it was seen first.
+    pub fn appearance(&self, landmark: &PlacedLandmark) -> Option<Appearance> {
         let point = self.camera_from_anchor * landmark.point;
         if point.z <= 0.0 {
             return None;
@@ -423,16 +423,32 @@ impl View {
             .all(|axis| position[axis] > self.lowest[axis] && position[axis] < self.highest[axis]);
         let ray = landmark.point - self.position;
         let distance = ray.norm();
-        let factor = distance / landmark.distance;
-        let seen_alike = ray.dot(&landmark.direction) > angle_cosine_min * distance
-            && factor < distance_factor_max
-            && factor * distance_factor_max > 1.0;
-        (inside && seen_alike).then_some(position)
+        inside.then(|| Appearance {
+            position,
+            angle_cosine: ray.dot(&landmark.direction) / distance,
+            distance_factor: distance / landmark.distance,
+        })
     }
+}
 
-    /// Whether a landmark is at most so many times nearer or farther than when it was seen first.
-    pub fn shows_at_size(&self, landmark: &PlacedLandmark, distance_factor_max: f64) -> bool {
-        let factor = (landmark.point - self.position).norm() / landmark.distance;
-        factor < distance_factor_max && factor * distance_factor_max > 1.0
+/// How a camera sees a landmark.
+pub(super) struct Appearance {
+    /// On the ideal plane.
+    pub position: Vector2<f64>,
+    /// Of the angle between the ray and that of the landmark's first view.
+    pub angle_cosine: f64,
+    /// How far the landmark is, relative to its first view.
+    pub distance_factor: f64,
+}
+
+impl Appearance {
+    /// Whether it looks about as it did when it was seen first.
+    ///
+    /// - `distance_factors`: least and largest.
+    pub fn is_within(&self, angle_cosine_min: f64, distance_factors: [f64; 2]) -> bool {
+        let [nearest, farthest] = distance_factors;
+        self.angle_cosine > angle_cosine_min
+            && self.distance_factor > nearest
+            && self.distance_factor < farthest
     }
 }

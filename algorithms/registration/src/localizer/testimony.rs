@@ -10,18 +10,20 @@ use nalgebra::{Vector2, Vector3};
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::matching::{FeatureIndex, View};
 use super::types::{ChunkIdx, KeyframeObservation, LocalizerSettings};
-use crate::likeness::{Bareness, Evenness, Likeness, Things};
+use crate::likeness::{Bareness, Evenness, Likeness, Things, Vacancy};
 
-/// Only landmarks seen from nearly where they were seen first: cosine of the angle, and how many
-/// times nearer or farther.
+/// Only landmarks seen from nearly where they were seen first: cosine of the angle, and how far
+/// they are relative to that.
 const ANGLE_COSINE_MIN: f64 = 0.9;
-const DISTANCE_FACTOR_MAX: f64 = 3.0;
+const DISTANCE_FACTORS: [f64; 2] = [1.0 / 3.0, 3.0];
 /// Where there are fewer features so near, on the ideal plane, something hides the landmark, or
 /// the picture shows nothing.
 const TEXTURE_RADIUS: f64 = 0.03;
 const TEXTURE_COUNT_MIN: usize = 3;
-/// From much nearer or farther, corners are others, or none.
-const CORNER_DISTANCE_FACTOR_MAX: f64 = 1.4;
+/// There is a corner even where it looks otherwise: from farther aside, and from much nearer. From
+/// farther, corners melt together.
+const CORNER_ANGLE_COSINE_MIN: f64 = 0.81;
+const CORNER_DISTANCE_FACTORS: [f64; 2] = [0.4, 1.5];
 /// Places beside a corner, and how far they are, on the ideal plane.
 const BESIDE_COUNT: u8 = 8;
 const BESIDE_DISTANCE: f64 = 0.05;
@@ -51,8 +53,6 @@ struct Witness {
 /// A point of the own map that a keyframe shows.
 #[derive(Clone, Copy, Debug)]
 struct OwnPoint {
-    /// By it, points that several keyframes show are known again.
-    in_map: Vector3<f64>,
     /// In the own map's unit.
     in_camera: Vector3<f64>,
     descriptor: Descriptor,
@@ -77,7 +77,6 @@ impl Testimony {
         let own_points = keyframe.features.iter().filter_map(|feature| {
             let in_map = feature.point?.point_in_map;
             Some(OwnPoint {
-                in_map,
                 in_camera: camera_from_map * in_map,
                 descriptor: feature.descriptor,
             })
@@ -114,16 +113,16 @@ fn ask(
             continue;
         }
         for (landmark_idx, landmark) in (0..).zip(stored.placed()) {
-            let position = view.project_within(landmark, ANGLE_COSINE_MIN, DISTANCE_FACTOR_MAX);
-            let Some(position) = position else {
+            let Some(seen) = view.appearance(landmark) else {
                 continue;
             };
-            if view.shows_at_size(landmark, CORNER_DISTANCE_FACTOR_MAX) {
-                bareness.add(&look_for_corner(
-                    features,
-                    &position,
-                    settings.refine_radius,
-                ));
+            let position = seen.position;
+            if seen.is_within(CORNER_ANGLE_COSINE_MIN, CORNER_DISTANCE_FACTORS) {
+                let radius = settings.refine_radius;
+                bareness.add(&look_for_corner(features, &position, radius));
+            }
+            if !seen.is_within(ANGLE_COSINE_MIN, DISTANCE_FACTORS) {
+                continue;
             }
             let mut near_count = 0;
             features.for_each_near(&position, TEXTURE_RADIUS, |_| near_count += 1);
@@ -189,9 +188,14 @@ pub(super) fn weigh(
         own.sought_in(&theirs, reach, settings.search_distance_max),
         theirs.sought_in(&own, reach, settings.search_distance_max),
     ]);
+    let missed = [
+        own.missed_in(&theirs, reach, settings.search_distance_max),
+        theirs.missed_in(&own, reach, settings.search_distance_max),
+    ];
     let views = statements.iter().map(|one| &one.testimony.bareness);
     Likeness {
         bareness: Bareness::of_all(views).ratio(),
+        vacancy: Vacancy::ratio(missed),
         ..likeness
     }
 }
@@ -214,13 +218,13 @@ fn own_things(statements: &[Statement]) -> (Vec<Vector3<f64>>, Vec<Descriptor>) 
     let mut things = Vec::new();
     for statement in statements {
         let placed = statement.anchor_from_camera;
-        let edge = SAME_DEPTHS * statement.depth / placed.scale();
-        for point in &statement.testimony.own_points {
-            let cell: [i64; 3] = (point.in_map / edge)
-                .map(|along| along.floor() as i64)
-                .into();
+        let edge = SAME_DEPTHS * statement.depth;
+        for own in &statement.testimony.own_points {
+            // Where it is now: since keyframes spoke, the own map may have moved.
+            let point = placed * own.in_camera;
+            let cell: [i64; 3] = (point / edge).map(|along| along.floor() as i64).into();
             if known.insert(cell) {
-                things.push((placed * point.in_camera, point.descriptor));
+                things.push((point, own.descriptor));
             }
         }
     }
@@ -249,4 +253,44 @@ fn landmarks_among(
         (0..3).all(|axis| (lowest[axis]..=highest[axis]).contains(&point[axis]))
     });
     inside.map(|one| (one.point, one.descriptor)).unzip()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+
+    /// Goal: a point that two keyframes saw counts once, although the own map has moved between.
+    /// Method: it is known where the keyframes are now; where they were then is not asked.
+    #[test]
+    fn a_point_counts_once_after_the_own_map_has_moved() {
+        let sees = |point: Vector3<f64>| Testimony {
+            own_points: vec![OwnPoint {
+                in_camera: point,
+                descriptor: Descriptor([0; 4]),
+            }],
+            ..Testimony::default()
+        };
+        let seen = [
+            sees(Vector3::new(0.001, 0.001, 2.001)),
+            sees(Vector3::new(-0.499, 0.001, 2.001)),
+            sees(Vector3::new(-0.999, 0.001, 2.001)),
+        ];
+        let statements: Vec<Statement> = seen
+            .iter()
+            .zip([0.0, 0.5, 0.5])
+            .map(|(testimony, x)| Statement {
+                testimony,
+                anchor_from_camera: Similarity::new(
+                    1.0,
+                    UnitQuaternion::identity(),
+                    Vector3::new(x, 0.0, 0.0),
+                ),
+                depth: 2.0,
+            })
+            .collect();
+        let (points, _) = own_things(&statements);
+        assert_eq!(points.len(), 2, "{points:?}");
+    }
 }

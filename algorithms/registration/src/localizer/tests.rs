@@ -236,7 +236,7 @@ fn what_comes_later_revokes_an_alignment_to_another_room() {
             (cube(point.x) + cube(point.y) + cube(point.z)).rem_euclid(4) == 0
         };
         let room = World::new(8000, &mut scene.rng);
-        let other_room = room.redecorated(is_shared, &mut scene.rng);
+        let other_room = room.furnished_anew(is_shared, &mut scene.rng);
         scene.world = room.only(is_shared);
         scene.publish(&AnchorSettings::default());
         scene.world = other_room;

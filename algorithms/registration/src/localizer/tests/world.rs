@@ -101,6 +101,19 @@ impl World {
         }
     }
 
+    /// Another room, with these things of this one.
+    pub fn furnished_anew(
+        &self,
+        is_kept: impl Fn(&Vector3<f64>) -> bool,
+        rng: &mut impl Rng,
+    ) -> Self {
+        let mut room = self.only(&is_kept);
+        let others = Self::new(self.points.len(), rng).only(|point| !is_kept(point));
+        room.points.extend(others.points);
+        room.descriptors.extend(others.descriptors);
+        room
+    }
+
     /// The same room with nothing else in it.
     pub fn only(&self, is_kept: impl Fn(&Vector3<f64>) -> bool) -> Self {
         let known = self.points.iter().zip(&self.descriptors);
