@@ -117,7 +117,8 @@ impl Anchor {
         let verdict = match admission {
             Admission::Agrees | Admission::Founds => Verdict::Accepted,
             Admission::Waits => Verdict::Unconfirmed,
-            Admission::Revokes => Verdict::Refused(Refusal::Contradicted),
+            Admission::Doubts => Verdict::Refused(Refusal::FewWitnesses),
+            Admission::Denies | Admission::Revokes => Verdict::Refused(Refusal::Contradicted),
         };
         (verdict, Some(admission))
     }

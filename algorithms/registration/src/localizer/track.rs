@@ -5,10 +5,15 @@
 //! distance travelled, in units of the scene's depth, because neither map knows metres.
 //! The filter runs anew over the window whenever a placement or an own keyframe has moved.
 
+mod admission;
+
 use std::collections::VecDeque;
 
 use geometry::{Camera, Map, Matrix7, Similarity, Tangent7, Timestamp, Transform, so3};
 use nalgebra::{SMatrix, Vector3};
+
+pub(super) use admission::Admission;
+use admission::{doubt, has_majority};
 
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::locate::Located;
@@ -267,18 +272,6 @@ pub(super) fn filter<'a>(
     Some(state)
 }
 
-/// What a located keyframe did to a track.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Admission {
-    Agrees,
-    /// Kept until others agree with it.
-    Waits,
-    /// It and others that agree with it have become the track.
-    Founds,
-    /// What it shows, and what others of the track showed, says that this is another place.
-    Revokes,
-}
-
 /// The keyframes that agree on an alignment, and those that wait for company.
 #[derive(Default)]
 pub(super) struct Track {
@@ -447,8 +440,8 @@ impl Track {
             let apart = entry.map_from_camera.translation() - newest.map_from_camera.translation();
             apart.norm() > 0.0
         });
-        // Things that stand a little elsewhere in another room put each keyframe elsewhere.
-        let outvoted = 2 * agreeing.len() <= self.waiting.len();
+        let is_for = |entry: &Entry| agreeing.iter().any(|one| one.keyframe == entry.keyframe);
+        let outvoted = !has_majority(self.waiting.iter().map(is_for));
         let too_few = agreeing.len() < required || inlier_count < settings.first_inlier_count;
         if too_few || outvoted || !spread {
             return Admission::Waits;
@@ -458,8 +451,8 @@ impl Track {
         };
         let likeness = weigh(&agreeing, &founded, anchor, settings);
         self.likeness = Some(likeness);
-        if !likeness.exceeds(settings.agreement_extent_min) {
-            return Admission::Waits;
+        if let Some(doubt) = doubt(&likeness, settings.agreement_extent_min) {
+            return doubt;
         }
         self.entries = agreeing.into();
         self.past.clear();

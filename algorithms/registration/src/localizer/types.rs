@@ -162,6 +162,9 @@ pub enum Refusal {
     InliersClustered,
     /// Much that should be in view from there is not: the place only looks alike.
     Contradicted,
+    /// Keyframes agree, but both maps show too little in common to tell the place from one that
+    /// looks alike.
+    FewWitnesses,
     /// Too few of the inliers are points of the own map, so that the scale stays open.
     NoScale,
     /// Numbers that are not finite, or a keyframe without features.
@@ -189,6 +192,7 @@ impl fmt::Display for Refusal {
             Self::TooFewInliers => "too few inliers",
             Self::InliersClustered => "inliers clustered in the image",
             Self::Contradicted => "much that should be in view is not",
+            Self::FewWitnesses => "both maps show too little to tell the place",
             Self::NoScale => "scale not observable",
             Self::BadInput => "bad input",
         })
