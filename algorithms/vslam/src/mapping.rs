@@ -92,8 +92,8 @@ impl Mapper {
         let directions = directions::add_directions(optics, map, id);
         self.recent.extend(directions);
         update_neighbours(map, id);
-        let window = adjust::adjust_local(map, id, &mut self.workspace);
-        self.settling.note(map, id, &camera_from_map);
+        let (window, shift) = adjust::adjust_local(map, id, &mut self.workspace);
+        self.settling.note(map, id, shift);
         directions::settle_directions(map, &window);
         cull_keyframes::cull(map, id);
         self.unsettled.push(id);

@@ -3,6 +3,7 @@
 use geometry::Transform;
 use nalgebra::{Matrix3, Vector3};
 
+use super::settling::{SHIFT_MAX, YOUNG_KEYFRAMES};
 use crate::bundle::{
     BundleObservation, BundlePose, BundleProblem, BundleReport, BundleSettings, Workspace, adjust,
 };
@@ -40,12 +41,13 @@ impl Selection {
     }
 }
 
-/// Adjusts a keyframe and those that share most with it; returns the keyframes that could move.
+/// Adjusts a keyframe and those that share most with it; returns the keyframes that could move, and
+/// how far the newest would have moved if nothing had held it.
 pub(crate) fn adjust_local(
     map: &mut VslamMap,
     id: KeyframeId,
     workspace: &mut Workspace,
-) -> Vec<KeyframeId> {
+) -> (Vec<KeyframeId>, f64) {
     let mut window = vec![id];
     window.extend(
         map.covisible(id)
@@ -55,9 +57,44 @@ pub(crate) fn adjust_local(
             .map(|one| one.keyframe),
     );
     let selection = select(map, &window);
-    run(map, &selection, &LOCAL, workspace);
-    window
+    let (before, views) = problem(map, &selection);
+    let mut solved = Solved::of(&before, &LOCAL, workspace);
+    let idx = selection.keyframes.binary_search(&id).ok();
+    let shift = idx.map_or(0.0, |idx| solved.shift(&before, idx));
+    let held = idx.and_then(|idx| hold(map, (id, idx), (&before, &solved), workspace));
+    if let Some(held) = held {
+        solved = held;
+    }
+    apply(map, &selection, (&before, &views), solved);
+    (window, shift)
 }
+
+/// Where the newest keyframe was tracked to, if the adjustment takes it far from there for next to
+/// nothing: then it has followed a valley, along which a turn and a step explain what is seen
+/// nearly as well, and noise that keypoints share decides where it ends. The way of the camera
+/// until now knows better.
+fn hold(
+    map: &VslamMap,
+    (newest, idx): (KeyframeId, usize),
+    (before, free): (&BundleProblem, &Solved),
+    workspace: &mut Workspace,
+) -> Option<Solved> {
+    let depth = map.median_depth(newest)?.abs();
+    let is_young = map.keyframe_count() <= YOUNG_KEYFRAMES;
+    if is_young || before.poses[idx].fixed || free.shift(before, idx) <= SHIFT_MAX * depth {
+        return None;
+    }
+    let mut bound = before.clone();
+    bound.poses[idx].fixed = true;
+    let held = Solved::of(&bound, &LOCAL, workspace);
+    let seen = before.observations.iter().filter(|one| one.pose_idx == idx);
+    let price = held.report.cost_after - free.report.cost_after;
+    (price <= HELD_PRICE_MAX * seen.count() as f64).then_some(held)
+}
+
+/// What a keyframe that is held where it was tracked to may cost for each point that it sees; each
+/// of them costs about two anyway. In valleys it was 0.1 to 0.5.
+const HELD_PRICE_MAX: f64 = 1.0;
 
 const LOCAL: BundleSettings = BundleSettings {
     iteration_count_max: 40,
@@ -117,17 +154,54 @@ fn run(
     settings: &BundleSettings,
     workspace: &mut Workspace,
 ) -> BundleReport {
-    let (mut problem, views) = problem(map, selection);
-    let before = problem.clone();
-    let report = adjust(&mut problem, settings, workspace);
-    let scale = keep_scale(&before, &mut problem);
-    let stretches = stretches(&before, &problem);
-    for ((id, pose), stretch) in selection
-        .keyframes
-        .iter()
-        .zip(&problem.poses)
-        .zip(stretches)
-    {
+    let (before, views) = problem(map, selection);
+    let solved = Solved::of(&before, settings, workspace);
+    apply(map, selection, (&before, &views), solved)
+}
+
+/// An adjusted problem.
+struct Solved {
+    problem: BundleProblem,
+    report: BundleReport,
+    /// By how much it was stretched to keep its scale.
+    scale: f64,
+}
+
+impl Solved {
+    fn of(before: &BundleProblem, settings: &BundleSettings, workspace: &mut Workspace) -> Self {
+        let mut problem = before.clone();
+        let report = adjust(&mut problem, settings, workspace);
+        let scale = keep_scale(before, &mut problem);
+        Self {
+            problem,
+            report,
+            scale,
+        }
+    }
+
+    /// How far a pose has moved.
+    fn shift(&self, before: &BundleProblem, pose_idx: usize) -> f64 {
+        let [from, to] = [before, &self.problem]
+            .map(|one| *one.poses[pose_idx].camera_from_map.inverse().translation());
+        (to - from).norm()
+    }
+}
+
+/// Brings an adjustment into the map.
+fn apply(
+    map: &mut VslamMap,
+    selection: &Selection,
+    (before, views): (&BundleProblem, &[ViewName]),
+    solved: Solved,
+) -> BundleReport {
+    let Solved {
+        problem,
+        report,
+        scale,
+    } = solved;
+    let stretches = stretches(before, &problem);
+    let poses = selection.keyframes.iter().zip(&problem.poses);
+    for ((id, pose), stretch) in poses.zip(stretches) {
         if let Some(keyframe) = map.keyframe_mut(*id) {
             keyframe.camera_from_map = pose.camera_from_map;
             keyframe.unit *= stretch;
@@ -138,7 +212,7 @@ fn run(
             point.position_in_map = *position;
         }
     }
-    for ((point, keyframe), inlier) in views.into_iter().zip(&report.inliers) {
+    for (&(point, keyframe), inlier) in views.iter().zip(&report.inliers) {
         if !inlier {
             map.unlink(point, keyframe);
         }

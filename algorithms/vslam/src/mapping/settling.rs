@@ -1,6 +1,6 @@
 //! Whether local adjustments still move the map by far.
 
-use geometry::{Camera, Map, Timestamp, Transform};
+use geometry::Timestamp;
 
 use crate::{KeyframeId, VslamMap};
 
@@ -8,10 +8,10 @@ use crate::{KeyframeId, VslamMap};
 /// has followed a valley, along which a turn and a step explain what is seen nearly as well: where
 /// it ends is decided by noise that keypoints share. In some two thousand adjustments of good maps
 /// three went so far.
-const SHIFT_MAX: f64 = 0.02;
+pub(super) const SHIFT_MAX: f64 = 0.02;
 /// The same in a map of a few keyframes, where nothing lies but what a bad start put there.
 const YOUNG_SHIFT_MAX: f64 = 0.01;
-const YOUNG_KEYFRAMES: usize = 5;
+pub(super) const YOUNG_KEYFRAMES: usize = 5;
 /// An adjustment that moves the newest keyframe by less than this is calm.
 const CALM_SHIFT: f64 = 0.01;
 /// So many of them in a row end the doubt,
@@ -57,22 +57,16 @@ impl Settling {
     /// A map that only began badly has at most so many keyframes when it is given up.
     pub(crate) const HOPELESS_KEYFRAMES_MAX: usize = YOUNG_KEYFRAMES + ASKED_KEYFRAMES as usize;
 
-    /// Takes note of an adjustment; the newest keyframe was here before.
-    pub(crate) fn note(
-        &mut self,
-        map: &VslamMap,
-        newest: KeyframeId,
-        before: &Transform<Camera, Map>,
-    ) {
+    /// Takes note of an adjustment that moved the newest keyframe so far, or would have.
+    pub(crate) fn note(&mut self, map: &VslamMap, newest: KeyframeId, shift: f64) {
         let Some(keyframe) = map.keyframe(newest) else {
             return;
         };
         let depth = map.median_depth(newest).unwrap_or(1.0).abs();
-        let way = keyframe.centre_in_map() - before.inverse().translation();
         let ranged = keyframe.points().filter_map(|point| map.point(point));
         self.take(Adjusted {
             at: keyframe.captured_at,
-            shift: way.norm() / depth,
+            shift: shift / depth,
             keyframe_count: map.keyframe_count(),
             ranged_count: ranged.filter(|point| point.has_range()).count(),
         });

@@ -1,6 +1,6 @@
 use features::Descriptor;
 use geometry::Timestamp;
-use nalgebra::Vector2;
+use nalgebra::{UnitQuaternion, Vector2};
 
 use super::*;
 use crate::frame::Frame;
@@ -67,12 +67,20 @@ fn a_scale_that_two_keyframes_hold_is_what_they_say() {
     assert!(keep_scale(&before, &mut after) > 1.5);
 }
 
+fn seen_from(centre: &Vector3<f64>, point: &Vector3<f64>) -> Vector2<f64> {
+    let ray = point - centre;
+    ray.xy() / ray.z
+}
+
 /// Where the camera that [`turning_camera`] adds last is.
 const LAST_CENTRE: Vector3<f64> = Vector3::new(1.05, 0.0, 0.0);
 
-/// Eight cameras in a row before a wall. The last one sees it in a strip at the edge of its image,
-/// as after a turn, and twelve of its matches are wrong by far.
-fn turning_camera() -> (VslamMap, KeyframeId) {
+/// Eight cameras in a row before a wall, with keypoints of this sigma. The last one sees the wall
+/// in a strip at the edge of its image, as after a turn; `last` says where.
+fn turning_camera(
+    sigma: f64,
+    last: impl Fn(usize, &Vector3<f64>) -> Vector2<f64>,
+) -> (VslamMap, KeyframeId) {
     let point = |idx: usize| {
         let even = |step: f64| (0.5 + step * idx as f64).fract() - 0.5;
         let depth = 4.0 + 0.5 * even(0.323_1);
@@ -85,12 +93,15 @@ fn turning_camera() -> (VslamMap, KeyframeId) {
         let is_last = camera_idx == 7;
         let centre = LAST_CENTRE * (camera_idx as f64 / 7.0);
         let observation = |(idx, point): (usize, &Vector3<f64>)| {
-            let ray = point - centre;
-            let wrong = if is_last && idx % 10 == 0 { 0.12 } else { 0.0 };
+            let position = if is_last {
+                last(idx, point)
+            } else {
+                seen_from(&centre, point)
+            };
             Observation {
-                position: ray.xy() / ray.z + Vector2::new(wrong, 0.0),
+                position,
                 position_px: Vector2::zeros(),
-                sigma: 0.004,
+                sigma,
                 level: 0,
                 angle_rad: 0.0,
                 descriptor: Descriptor([0; 4]),
@@ -123,10 +134,32 @@ fn turning_camera() -> (VslamMap, KeyframeId) {
 
 #[test]
 fn a_few_wrong_matches_do_not_move_a_keyframe() {
-    let (mut map, newest) = turning_camera();
+    let (mut map, newest) = turning_camera(0.004, |idx, point| {
+        let wrong = if idx.is_multiple_of(10) { 0.12 } else { 0.0 };
+        seen_from(&LAST_CENTRE, point) + Vector2::new(wrong, 0.0)
+    });
     adjust_local(&mut map, newest, &mut Workspace::default());
     let keyframe = map.keyframe(newest).unwrap();
     let error = keyframe.centre_in_map() - LAST_CENTRE;
     assert!(error.norm() < 1e-3, "{error}");
     assert!(keyframe.points().count() == 108);
+}
+
+/// Goal: where a step with a turn explains the newest keyframe's images a little better, it stays
+/// where it was tracked to; where it explains them much better, it follows. Method: its images are
+/// those of a camera 20 cm aside that turned back by as much, with keypoints of two precisions.
+#[test]
+fn the_newest_keyframe_follows_no_valley() {
+    let shift_m = |sigma: f64| {
+        let aside = LAST_CENTRE + Vector3::x() * 0.2;
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.036);
+        let (mut map, id) = turning_camera(sigma, |_, point| {
+            let ray = turn * (point - aside);
+            ray.xy() / ray.z
+        });
+        adjust_local(&mut map, id, &mut Workspace::default());
+        (map.keyframe(id).unwrap().centre_in_map() - LAST_CENTRE).norm()
+    };
+    assert!(shift_m(0.005) < 1e-9, "{}", shift_m(0.005));
+    assert!(shift_m(0.0005) > 0.1, "{}", shift_m(0.0005));
 }
