@@ -42,7 +42,8 @@ impl Verdict {
 }
 
 /// Compares each map's live poses with the truth after Sim(3) alignment of that map, as it was
-/// between two corrections; the distance travelled is that in the map with all its corrections.
+/// between two corrections; the distance travelled is that in the map until then, corrections
+/// included.
 pub fn verdict(poses: &[LivePose]) -> Verdict {
     let mut verdict = Verdict::default();
     let key = |pose: &LivePose| (pose.map_id, pose.map_revision);
@@ -55,8 +56,11 @@ pub fn verdict(poses: &[LivePose]) -> Verdict {
         if of_map.len() < FRAME_COUNT_MIN || distance_m(&of_map) < DISTANCE_M_MIN {
             continue;
         }
-        let revisions = poses.iter().filter(|pose| pose.map_id == wanted.0);
-        let distance_m = distance_m(&revisions.collect::<Vec<_>>());
+        let last_frame_idx = of_map.iter().map(|pose| pose.frame_idx).max();
+        let until_then = poses
+            .iter()
+            .filter(|pose| pose.map_id == wanted.0 && Some(pose.frame_idx) <= last_frame_idx);
+        let distance_m = distance_m(&until_then.collect::<Vec<_>>());
         let places = of_map.iter().map(|pose| {
             let truth = *pose.site_from_camera.translation();
             (truth, *pose.map_from_camera.translation(), 1.0)

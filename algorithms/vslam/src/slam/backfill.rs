@@ -97,6 +97,7 @@ impl Backfill {
         if let Some(record) = trajectory.get_mut(frame.frame_idx as usize) {
             record.map_id = map.id();
             record.place = Some(place);
+            record.was_tracked = false;
         }
         None
     }

@@ -165,6 +165,7 @@ impl WaitingFrame {
         if let Some(record) = trajectory.get_mut(frame_idx) {
             record.map_id = map.id();
             record.place = Some(place);
+            record.was_tracked = false;
         }
         true
     }
