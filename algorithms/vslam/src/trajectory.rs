@@ -17,6 +17,13 @@ pub(crate) struct FrameRecord {
 }
 
 impl FrameRecord {
+    /// Takes note of a place that was found afterwards.
+    pub(crate) fn find(&mut self, map_id: MapId, place: Place) {
+        self.map_id = map_id;
+        self.place = Some(place);
+        self.was_tracked = false;
+    }
+
     /// Takes note that two maps have become one.
     pub(crate) fn follow(&mut self, joined: &Joined) {
         if self.map_id == joined.from {

@@ -20,6 +20,10 @@ const STRETCH_POINTS_MIN: usize = 10;
 /// A keyframe joins the window if it shares this many points.
 const SHARED_MIN: u32 = 15;
 
+/// What a keyframe that is held where it was tracked to may cost for each point that it sees; each
+/// of them costs about two anyway. In valleys it was 0.1 to 0.5.
+const HELD_PRICE_MAX: f64 = 1.0;
+
 /// Which keyframes and points of the map the rows of a problem are.
 #[derive(Clone, Debug)]
 pub(crate) struct Selection {
@@ -91,10 +95,6 @@ fn hold(
     let price = held.report.cost_after - free.report.cost_after;
     (price <= HELD_PRICE_MAX * seen.count() as f64).then_some(held)
 }
-
-/// What a keyframe that is held where it was tracked to may cost for each point that it sees; each
-/// of them costs about two anyway. In valleys it was 0.1 to 0.5.
-const HELD_PRICE_MAX: f64 = 1.0;
 
 const LOCAL: BundleSettings = BundleSettings {
     iteration_count_max: 40,

@@ -95,9 +95,7 @@ impl Backfill {
             return Some(Missed::Unsure(frame));
         }
         if let Some(record) = trajectory.get_mut(frame.frame_idx as usize) {
-            record.map_id = map.id();
-            record.place = Some(place);
-            record.was_tracked = false;
+            record.find(map.id(), place);
         }
         None
     }

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use super::sureness::{WAY_DEPTHS_MIN, WAY_SHARE_MAX, length};
 use crate::trajectory::FrameRecord;
-use crate::{KeyframeId, TrajectoryEntry, VslamMap};
+use crate::{TrajectoryEntry, VslamMap};
 
 /// Frames further apart in time are not compared.
 const LINK_S_MAX: f64 = 0.25;
@@ -59,9 +59,7 @@ pub(super) fn clear(map: &VslamMap, trajectory: &[FrameRecord], entries: &mut [T
 fn depth(map: &VslamMap) -> f64 {
     let stride = map.keyframe_count().div_ceil(ASKED_MAX).max(1);
     let ids = map.keyframes().step_by(stride).map(crate::Keyframe::id);
-    let mut depths: Vec<f64> = ids
-        .filter_map(|id: KeyframeId| map.median_depth(id))
-        .collect();
+    let mut depths: Vec<f64> = ids.filter_map(|id| map.median_depth(id)).collect();
     depths.sort_by(f64::total_cmp);
     depths.get(depths.len() / 2).copied().unwrap_or(0.0)
 }
@@ -71,36 +69,43 @@ fn strays(placed: &[Placed], depth: f64) -> Vec<usize> {
     let tracked = placed.iter().filter(|one| one.was_tracked);
     let way = length(tracked.map(|one| one.centre), STEP_DEPTHS * depth);
     let jump_min = JUMP_SIGMAS * WAY_SHARE_MAX * way.max(WAY_DEPTHS_MIN * depth);
-    let mut strays = Vec::new();
-    let linked = |pair: &Placed, next: &Placed| next.at_s - pair.at_s <= LINK_S_MAX;
-    for chain in placed.chunk_by(linked) {
-        let steps: Vec<(f64, Vector3<f64>)> = (chain.windows(2))
-            .map(|pair| {
-                let interval_s = pair[1].at_s - pair[0].at_s;
-                (interval_s, (pair[1].centre - pair[0].centre) / interval_s)
-            })
-            .collect();
-        let is_jump = |idx: usize| {
-            let (interval_s, velocity) = steps[idx];
-            let allowed = 0.5 * ACCELERATION_MAX * depth * interval_s * interval_s;
-            usual_velocity(&steps, idx)
-                .is_some_and(|usual| (velocity - usual).norm() * interval_s > jump_min + allowed)
-        };
-        let mut begin = 0;
-        let mut after_jump = false;
-        for end in 1..=chain.len() {
-            let before_jump = end < chain.len() && is_jump(end - 1);
-            if end < chain.len() && !before_jump {
-                continue;
-            }
-            let piece = &chain[begin..end];
-            if (after_jump || before_jump) && !piece.iter().any(|one| one.was_tracked) {
-                strays.extend(piece.iter().map(|one| one.idx));
-            }
-            (begin, after_jump) = (end, before_jump);
-        }
+    let linked = |one: &Placed, next: &Placed| next.at_s - one.at_s <= LINK_S_MAX;
+    let chains = placed.chunk_by(linked);
+    chains
+        .flat_map(|chain| strays_of(chain, &jumps(chain, depth, jump_min)))
+        .collect()
+}
+
+/// Which steps of a chain of frames are too long for a camera that goes as it does around them.
+fn jumps(chain: &[Placed], depth: f64, jump_min: f64) -> Vec<bool> {
+    let steps: Vec<(f64, Vector3<f64>)> = (chain.windows(2))
+        .map(|pair| {
+            let interval_s = pair[1].at_s - pair[0].at_s;
+            (interval_s, (pair[1].centre - pair[0].centre) / interval_s)
+        })
+        .collect();
+    let is_jump = |(idx, (interval_s, velocity)): (usize, &(f64, Vector3<f64>))| {
+        let allowed = 0.5 * ACCELERATION_MAX * depth * interval_s * interval_s;
+        usual_velocity(&steps, idx)
+            .is_some_and(|usual| (velocity - usual).norm() * interval_s > jump_min + allowed)
+    };
+    steps.iter().enumerate().map(is_jump).collect()
+}
+
+/// The frames of the pieces between jumps in which none was tracked.
+fn strays_of(chain: &[Placed], jumps: &[bool]) -> Vec<usize> {
+    let after = jumps.iter().enumerate().filter(|(_, jump)| **jump);
+    let mut borders = vec![0];
+    borders.extend(after.map(|(idx, _)| idx + 1));
+    borders.push(chain.len());
+    if borders.len() == 2 {
+        return Vec::new();
     }
-    strays
+    let pieces = borders.windows(2).map(|pair| &chain[pair[0]..pair[1]]);
+    pieces
+        .filter(|piece| !piece.iter().any(|one| one.was_tracked))
+        .flat_map(|piece| piece.iter().map(|one| one.idx))
+        .collect()
 }
 
 /// The median of the velocities around a step, each axis alone.

@@ -163,9 +163,7 @@ impl WaitingFrame {
             return false;
         };
         if let Some(record) = trajectory.get_mut(frame_idx) {
-            record.map_id = map.id();
-            record.place = Some(place);
-            record.was_tracked = false;
+            record.find(map.id(), place);
         }
         true
     }

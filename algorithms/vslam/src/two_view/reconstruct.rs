@@ -17,7 +17,7 @@ use crate::triangulation::{Sighting, TriangulationSettings, triangulate};
 ///
 /// Five-point and homography RANSAC in parallel (Nistér 2004; Ma et al. 2004), the model by
 /// Torr's information criterion, every pose that a model allows refined on Sampson's error; the
-/// one with most points in front of both cameras wins, if no other comes close.
+/// one that explains the pairs best wins, if no other comes close.
 ///
 /// Deterministic for a given `rng`.
 pub fn reconstruct(
@@ -211,7 +211,7 @@ impl Meeting {
     }
 }
 
-/// The refined pose with the most points, if no other pose comes close.
+/// The refined pose that explains the pairs best, if no other pose comes close.
 fn choose_pose(
     poses: Vec<Transform<Camera, Camera>>,
     pairs: &[Pair],
