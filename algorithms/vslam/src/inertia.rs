@@ -1,9 +1,14 @@
 //! What a gyroscope and an accelerometer tell beside the camera; nothing here is needed.
 
+mod trial;
+
 use std::collections::VecDeque;
 
 use geometry::Timestamp;
 use nalgebra::{Unit, UnitQuaternion, Vector3};
+
+pub use trial::{GyroFault, GyroState};
+use trial::{Span, Trial};
 
 /// One reading of an inertial sensor, in the camera's axes and on the camera's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,12 +43,22 @@ pub(crate) struct Inertia {
     /// What the gyroscope says at rest (rad/s).
     bias: Vector3<f64>,
     up_in_camera: Option<Vector3<f64>>,
-    doubt_count: u32,
+    /// How the camera turned since the last comparison with the gyroscope.
+    seen: Option<Seen>,
+    trial: Trial,
 }
 
-/// So often the camera may be right against the gyroscope before that is not listened to any more:
-/// its axes or its unit are not those that were said.
-const DOUBTS_MAX: u32 = 3;
+/// A turn that the pictures showed.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    from: Timestamp,
+    until: Timestamp,
+    until_from_start: UnitQuaternion<f64>,
+}
+
+/// Turns are compared over so long at least (s): over less, what keypoints err by hides a gyroscope
+/// with other axes in a slow turn.
+const SPAN_S: f64 = 0.2;
 
 impl Inertia {
     /// Takes the next reading; one that is not newer, or that cannot be, changes nothing.
@@ -82,20 +97,44 @@ impl Inertia {
         });
     }
 
-    /// Away from the ground, as of the newest reading.
+    /// Away from the ground, as of the newest reading. It turned with the gyroscope, and the
+    /// accelerometer has the same axes: nothing if that is not listened to.
     pub(crate) fn up_in_camera(&self) -> Option<Unit<Vector3<f64>>> {
+        if self.is_refuted() {
+            return None;
+        }
         Unit::try_new(self.up_in_camera?, 1e-6)
     }
 
-    /// `later_from_earlier` of the camera's axes, if the readings cover the time between.
+    /// What the pictures say about the gyroscope.
+    pub(crate) fn gyro_state(&self) -> GyroState {
+        self.trial.state()
+    }
+
+    fn is_refuted(&self) -> bool {
+        matches!(self.gyro_state(), GyroState::Refuted(_))
+    }
+
+    /// `later_from_earlier` of the camera's axes, if the readings cover the time between and the
+    /// gyroscope is listened to.
     pub(crate) fn turn(&self, earlier: Timestamp, later: Timestamp) -> Option<UnitQuaternion<f64>> {
-        if self.doubt_count >= DOUBTS_MAX {
+        if self.is_refuted() {
             return None;
         }
+        let mut earlier_from_now = UnitQuaternion::identity();
+        for (rate, seconds) in self.rates(earlier, later)? {
+            earlier_from_now *= UnitQuaternion::from_scaled_axis((rate - self.bias) * seconds);
+        }
+        Some(earlier_from_now.inverse())
+    }
+
+    /// Mean rates (rad/s) as they were read and for how long (s), one after the other from the
+    /// earlier time to the later, if the readings cover all of it.
+    fn rates(&self, earlier: Timestamp, later: Timestamp) -> Option<Vec<(Vector3<f64>, f64)>> {
         let first = self
             .samples
             .partition_point(|sample| sample.captured_at <= earlier);
-        let mut earlier_from_now = UnitQuaternion::identity();
+        let mut rates = Vec::new();
         let mut now = earlier;
         // The reading before the interval holds until the next one.
         let mut rate = match first.checked_sub(1) {
@@ -114,8 +153,7 @@ impl Inertia {
             let mean_rate = rate.map_or(sample.rate_in_camera, |rate| {
                 (rate + sample.rate_in_camera) * 0.5
             });
-            let turned = (mean_rate - self.bias) * (next - now);
-            earlier_from_now *= UnitQuaternion::from_scaled_axis(turned);
+            rates.push((mean_rate, next - now));
             now = next;
             rate = Some(sample.rate_in_camera);
             if now >= later {
@@ -126,24 +164,28 @@ impl Inertia {
         if rest_s > GAP_MAX_S {
             return None;
         }
-        let turned = (rate? - self.bias) * rest_s;
-        earlier_from_now *= UnitQuaternion::from_scaled_axis(turned);
-        Some(earlier_from_now.inverse())
+        rates.push((rate?, rest_s));
+        Some(rates)
     }
 
-    /// The camera was right against it.
+    /// The pictures were right against it for as long as it was followed: from now on it must be
+    /// confirmed anew.
     pub(crate) fn doubt(&mut self) {
-        self.doubt_count += 1;
+        self.trial.begin_anew();
     }
 
     /// Compares the readings with how the camera turned between two frames that follow another.
+    ///
+    /// - `sigma`: of a keypoint, on the plane at depth one.
     pub(crate) fn learn(
         &mut self,
         (earlier, later): (Timestamp, Timestamp),
         later_from_earlier: &UnitQuaternion<f64>,
+        sigma: f64,
     ) {
         let interval_s = later - earlier;
         let Some(turn) = self.turn(earlier, later).filter(|_| interval_s > 0.0) else {
+            self.seen = None;
             return;
         };
         let too_much = later_from_earlier * turn.inverse();
@@ -152,6 +194,43 @@ impl Inertia {
         // One frame alone, found by a wrong match, must not turn the rest.
         let gain = BIAS_GAIN * (BIAS_MAX / rate.norm().max(BIAS_MAX));
         self.bias = (self.bias + rate * gain).cap_magnitude(BIAS_MAX);
+        self.compare((earlier, later), later_from_earlier, sigma);
+    }
+
+    /// Adds to the turn that the pictures show, and puts it to the trial when it is long enough.
+    fn compare(
+        &mut self,
+        (earlier, later): (Timestamp, Timestamp),
+        later_from_earlier: &UnitQuaternion<f64>,
+        sigma: f64,
+    ) {
+        let before = self.seen.filter(|seen| seen.until == earlier);
+        let seen = Seen {
+            from: before.map_or(earlier, |seen| seen.from),
+            until: later,
+            until_from_start: before.map_or(*later_from_earlier, |seen| {
+                later_from_earlier * seen.until_from_start
+            }),
+        };
+        let seconds = seen.until - seen.from;
+        if seconds < SPAN_S {
+            self.seen = Some(seen);
+            return;
+        }
+        self.seen = None;
+        let Some(rates) = self.rates(seen.from, seen.until) else {
+            return;
+        };
+        let told = rates.iter().map(|(rate, seconds)| rate * *seconds);
+        self.trial.judge(
+            Span {
+                seconds,
+                // What stands still turns the other way.
+                seen: -seen.until_from_start.scaled_axis(),
+                told: told.sum(),
+            },
+            sigma,
+        );
     }
 }
 

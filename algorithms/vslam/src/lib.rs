@@ -24,7 +24,7 @@ mod trajectory;
 pub mod triangulation;
 pub mod two_view;
 
-pub use inertia::ImuSample;
+pub use inertia::{GyroFault, GyroState, ImuSample};
 pub use map::{
     Keyframe, KeyframeId, KeyframeParts, KeypointParts, MapId, MapParts, MapPartsError, MapPoint,
     Observation, PointId, PointParts, View, ViewParts, VslamMap,

@@ -55,6 +55,11 @@ impl Optics {
         }
     }
 
+    /// One standard deviation of a keypoint on the finest level, at the centre of the ideal plane.
+    pub(crate) fn keypoint_sigma(&self) -> f64 {
+        self.keypoint_sigma_px / self.focal_px
+    }
+
     /// The ideal position and its standard deviation; `None` where the lens has no ray.
     pub(crate) fn undistort(&self, pixel: &Vector2<f64>, level: u8) -> Option<(Vector2<f64>, f64)> {
         let position = self.camera.undistort(pixel)?;

@@ -66,10 +66,7 @@ impl Starter {
             self.reference = Some(Reference::new(frame));
             return Err(StartReason::FirstFrame);
         };
-        if let Some(turn) = self.turn {
-            reference.turn_by(&turn);
-        }
-        let pairs = reference.match_frame(optics, &frame);
+        let pairs = reference.follow(optics, &frame, self.turn.as_ref());
         let age_s = frame.captured_at - reference.frame.captured_at;
         if pairs.len() < MATCHES_MIN || age_s > REFERENCE_AGE_MAX_S {
             self.reference = Some(Reference::new(frame));
@@ -89,22 +86,51 @@ impl Reference {
         Self { frame, last_seen }
     }
 
-    /// Expects all keypoints where this turn of the camera puts them.
-    fn turn_by(&mut self, turn: &UnitQuaternion<f64>) {
-        for position in &mut self.last_seen {
-            let ray = turn * position.push(1.0);
-            if ray.z > 0.0 {
-                *position = ray.xy() / ray.z;
-            }
+    /// Matches the next frame, where keypoints were last or where a turn puts them: where more are
+    /// found. Before there is a map nothing else tells whether a gyroscope is right.
+    fn follow(
+        &mut self,
+        optics: &Optics,
+        frame: &Frame,
+        turn: Option<&UnitQuaternion<f64>>,
+    ) -> Vec<Pair> {
+        let unturned = std::iter::once(self.last_seen.clone());
+        let tried = unturned.chain(turn.map(|turn| self.turned_by(turn)));
+        let tried = tried.map(|expected| {
+            let pairs = self.match_frame(optics, frame, &expected);
+            (expected, pairs)
+        });
+        let (expected, pairs) = tried
+            .max_by_key(|(_, pairs)| pairs.len())
+            .expect("what was seen last is always tried");
+        self.last_seen = expected;
+        for &(first, second) in &pairs {
+            self.last_seen[first] = frame.observations[second].position;
         }
+        pairs
     }
 
-    fn match_frame(&mut self, optics: &Optics, frame: &Frame) -> Vec<Pair> {
+    /// Where this turn of the camera puts all keypoints.
+    fn turned_by(&self, turn: &UnitQuaternion<f64>) -> Vec<Vector2<f64>> {
+        let last_seen = self.last_seen.iter();
+        let turned = last_seen.map(|position| {
+            let ray = turn * position.push(1.0);
+            if ray.z > 0.0 {
+                ray.xy() / ray.z
+            } else {
+                *position
+            }
+        });
+        turned.collect()
+    }
+
+    /// - `expected`: where each keypoint should be.
+    fn match_frame(&self, optics: &Optics, frame: &Frame, expected: &[Vector2<f64>]) -> Vec<Pair> {
         let mut best_of: Vec<Option<(usize, u32)>> = vec![None; frame.observations.len()];
         for (idx, observation) in self.frame.observations.iter().enumerate() {
             let level = observation.level;
             let wanted = Wanted {
-                position: self.last_seen[idx],
+                position: expected[idx],
                 radius: WINDOW_PX * optics.window,
                 levels: level.saturating_sub(1)..=level + 1,
                 descriptor: &observation.descriptor,
@@ -127,14 +153,9 @@ impl Reference {
         };
         let turns_rad: Vec<f32> = pairs.iter().map(turn).collect();
         let consistent = consistent_turns(&turns_rad);
-        let mut kept = Vec::with_capacity(pairs.len());
-        for (pair, consistent) in pairs.into_iter().zip(consistent) {
-            if consistent {
-                self.last_seen[pair.0] = frame.observations[pair.1].position;
-                kept.push(pair);
-            }
-        }
-        kept
+        let kept = pairs.into_iter().zip(consistent);
+        kept.filter_map(|(pair, consistent)| consistent.then_some(pair))
+            .collect()
     }
 }
 

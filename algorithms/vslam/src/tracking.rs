@@ -67,6 +67,8 @@ pub(crate) struct Tracked {
 enum Guess {
     /// The camera went on as it did.
     Motion,
+    /// It turned as a gyroscope says that nobody confirmed.
+    Hint,
     /// It turned as what it still shows of the last frame says.
     Turn,
     /// It is near the last keyframe, wherever.
@@ -102,7 +104,7 @@ pub(crate) fn track(
         whereabouts: whereabouts.as_ref(),
     };
     let mut best: Option<(Tracked, Vec<Option<PointId>>)> = None;
-    for guess in [Guess::Motion, Guess::Turn, Guess::Looks] {
+    for guess in [Guess::Motion, Guess::Hint, Guess::Turn, Guess::Looks] {
         let Some(first) = search.guess(guess, map, frame, rng) else {
             continue;
         };
@@ -152,6 +154,10 @@ impl Search<'_> {
         let (motion, at) = (self.motion, frame.captured_at);
         match guess {
             Guess::Motion => self.from(&motion.predict(map, at)?, map, frame),
+            Guess::Hint => {
+                let turn = motion.hinted_turn?;
+                self.from(&motion.predict_turned(map, at, Some(turn))?, map, frame)
+            }
             Guess::Turn => {
                 let seen = (&motion.last.observations, &frame.observations);
                 let turn = turn::turn_between(seen.0, seen.1, rng)?;

@@ -64,7 +64,7 @@ fn the_bias_is_learned_from_the_camera() {
     let seen = UnitQuaternion::from_scaled_axis(-rate / 20.0);
     for frame in 0..200 {
         let from_s = f64::from(frame % 19) / 20.0;
-        inertia.learn((at(from_s), at(from_s + 0.05)), &seen);
+        inertia.learn((at(from_s), at(from_s + 0.05)), &seen, 0.002);
     }
     assert!((inertia.bias - bias).norm() < 0.002, "{}", inertia.bias);
 }

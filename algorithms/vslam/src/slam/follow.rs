@@ -1,8 +1,11 @@
 //! Frames while there is a map: tracked, found again, or lost.
 
+use geometry::Timestamp;
+
 use super::grow_map::Unmapped;
 use super::{Backfill, Mode, Outcome, Vslam};
 use crate::frame::Frame;
+use crate::inertia::GyroState;
 use crate::mapping::Settling;
 use crate::start::Starter;
 use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame, track};
@@ -35,9 +38,12 @@ impl Vslam {
         let Mode::Following { motion, .. } = &mut self.mode else {
             unreachable!("called only while following");
         };
-        motion.turn = self
+        let turn = self
             .inertia
             .turn(motion.last.captured_at, frame.captured_at);
+        let is_confirmed = self.inertia.gyro_state() == GyroState::Confirmed;
+        motion.turn = turn.filter(|_| is_confirmed);
+        motion.hinted_turn = turn.filter(|_| !is_confirmed);
         let coasted_max = match motion.turn {
             Some(_) => COASTED_WITH_GYRO_MAX,
             None => COASTED_MAX,
@@ -63,7 +69,7 @@ impl Vslam {
                 )
                 .ok_or(reason)
         });
-        let result = result.and_then(|tracked| self.check_turn(tracked, coasted_max));
+        let result = result.and_then(|tracked| self.check_turn(tracked, frame.captured_at));
         match result {
             Ok(tracked) => self.accept(frame, tracked),
             Err(reason) => {
@@ -73,16 +79,22 @@ impl Vslam {
         }
     }
 
-    /// Refuses a pose that the gyroscope contradicts, for as long as it is followed; then it is the
-    /// gyroscope that is doubted.
-    fn check_turn(&mut self, tracked: Tracked, coasted_max: u32) -> Result<Tracked, LostReason> {
+    /// Refuses a pose that the gyroscope contradicts, for a while; then it is the gyroscope that
+    /// is doubted, before the map is given up for its sake.
+    fn check_turn(&mut self, tracked: Tracked, at: Timestamp) -> Result<Tracked, LostReason> {
         let Mode::Following { motion, .. } = &self.mode else {
             return Ok(tracked);
         };
         if !motion.contradicts(&self.map, &tracked.camera_from_map) {
             return Ok(tracked);
         }
-        if motion.missed_count <= coasted_max {
+        let refusals_max = if self.map.keyframe_count() < SMALL_MAP_KEYFRAMES {
+            SMALL_MAP_PATIENCE / 2
+        } else {
+            COASTED_WITH_GYRO_MAX
+        };
+        let lost_s = at - motion.last.captured_at;
+        if motion.missed_count <= refusals_max && lost_s <= 0.5 * PATIENCE_S {
             return Err(LostReason::AgainstGyroscope);
         }
         self.inertia.doubt();

@@ -92,7 +92,8 @@ impl Vslam {
         }
         if let Some(turn) = motion.turn_to(&self.map, &place) {
             let interval = (motion.last.captured_at, captured_at);
-            self.inertia.learn(interval, &turn);
+            self.inertia
+                .learn(interval, &turn, self.optics.keypoint_sigma());
         }
         motion.advance(
             &self.map,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Unit, Vector3};
 
 use super::Vslam;
-use crate::{ImuSample, KeyframeId, VslamMap};
+use crate::{GyroState, ImuSample, KeyframeId, VslamMap};
 
 /// Where away from the ground is, as each keyframe was told.
 #[derive(Clone, Debug, Default)]
@@ -64,11 +64,16 @@ impl Vslam {
     /// stamp come before the frame. Without any, the camera does alone.
     ///
     /// The gyroscope tells how the camera turned since the last frame, in place of its velocity,
-    /// and what it says at rest is learned on the way. An accelerometer tells where up is: see
-    /// [`Self::up_in_map`]. Returns whether the reading was taken: it must be finite and newer
-    /// than the last.
+    /// and what it says at rest is learned on the way. Whether it is right is for the pictures to
+    /// say: see [`Self::gyro_state`]. An accelerometer tells where up is: see [`Self::up_in_map`].
+    /// Returns whether the reading was taken: it must be finite and newer than the last.
     pub fn take_imu(&mut self, sample: ImuSample) -> bool {
         self.inertia.take(sample)
+    }
+
+    /// Whether the turns that the gyroscope tells are those that the pictures show.
+    pub fn gyro_state(&self) -> GyroState {
+        self.inertia.gyro_state()
     }
 
     /// Says where away from the ground is at the next frame, better than its readings do.
@@ -76,8 +81,12 @@ impl Vslam {
         self.ups.told = Some(up_in_camera);
     }
 
-    /// Away from the ground, in the frame of [`Self::map`], if at least some keyframes were told.
+    /// Away from the ground, in the frame of [`Self::map`], if at least some keyframes were told,
+    /// and not by a sensor that the pictures refuted.
     pub fn up_in_map(&self) -> Option<Unit<Vector3<f64>>> {
-        self.ups.in_map(&self.map)
+        match self.gyro_state() {
+            GyroState::Refuted(_) => None,
+            GyroState::Untested | GyroState::Confirmed => self.ups.in_map(&self.map),
+        }
     }
 }

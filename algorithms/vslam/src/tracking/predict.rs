@@ -26,8 +26,11 @@ const UNPLACED_MAX_S: f64 = 1.0;
 pub(crate) struct Motion {
     pub(crate) last: TrackedFrame,
     velocity: Option<Velocity>,
-    /// How the camera's axes turned since the last frame (`now_from_last`), if a gyroscope tells.
+    /// How the camera's axes turned since the last frame (`now_from_last`), if a gyroscope tells
+    /// that the pictures confirmed.
     pub(crate) turn: Option<UnitQuaternion<f64>>,
+    /// The same of one that they did not confirm: to be tried, and nothing else.
+    pub(crate) hinted_turn: Option<UnitQuaternion<f64>>,
     /// Frames without a pose since.
     pub(crate) missed_count: u32,
     /// When points of known range last told where the camera was.
@@ -58,6 +61,7 @@ impl Motion {
             last,
             velocity: None,
             turn: None,
+            hinted_turn: None,
             missed_count: 0,
             speed_max: 0.0,
             usual_misfit: None,
@@ -110,6 +114,7 @@ impl Motion {
         }
         self.last = next;
         self.turn = None;
+        self.hinted_turn = None;
         self.missed_count = 0;
     }
 

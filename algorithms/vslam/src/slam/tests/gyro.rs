@@ -2,11 +2,11 @@
 
 use camera::Image;
 use geometry::{Map, Timestamp, umeyama};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::world::{self, Pose, World};
 use super::{RATE_HZ, machine, pose, stamp};
-use crate::{FrameReport, ImuSample, LostReason, TrackingState, Vslam};
+use crate::{FrameReport, GyroFault, GyroState, ImuSample, LostReason, TrackingState, Vslam};
 
 /// Frames of the walk before the jerks, and of these.
 const WALK_FRAMES: usize = 41;
@@ -15,10 +15,22 @@ const JERKS: usize = 30;
 const SAMPLES_PER_FRAME: usize = 40;
 
 /// What is wrong with a gyroscope.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Flaws {
     bias: Vector3<f64>,
     noise: f64,
+    /// What its readings are multiplied by: another unit, other axes.
+    told_from_true: Matrix3<f64>,
+}
+
+impl Default for Flaws {
+    fn default() -> Self {
+        Self {
+            bias: Vector3::zeros(),
+            noise: 0.0,
+            told_from_true: Matrix3::identity(),
+        }
+    }
 }
 
 /// Flies along the poses; with a gyroscope unless there are no `flaws` to speak of.
@@ -64,7 +76,7 @@ fn feed(slam: &mut Vslam, frame: usize, (before, here): (&Pose, &Pose), flaws: F
         let noise = Vector3::new(phase.sin(), (1.7 * phase).sin(), (2.9 * phase).sin());
         let taken = slam.take_imu(ImuSample {
             captured_at: Timestamp::from_seconds(seconds).unwrap(),
-            rate_in_camera: rate + flaws.bias + noise * flaws.noise,
+            rate_in_camera: flaws.told_from_true * (rate + flaws.bias + noise * flaws.noise),
             specific_force_in_camera: Some(here.world_from_camera().inverse() * up_in_world * 9.8),
         });
         assert!(taken);
@@ -128,6 +140,7 @@ fn fast_turns_are_followed_with_a_gyroscope() {
         blind_count += right_count(&slam, &poses, &reports);
         let (slam, reports) = fly(&images, &poses, Some(Flaws::default()));
         guided_count += right_count(&slam, &poses, &reports);
+        assert_eq!(slam.gyro_state(), GyroState::Confirmed);
     }
     assert!(guided_count >= 2 * JERKS - 1, "{guided_count}");
     assert!(blind_count <= guided_count, "{blind_count}");
@@ -192,6 +205,7 @@ fn a_poor_gyroscope_does_no_harm() {
     let poor = Flaws {
         bias: Vector3::new(0.02, -0.02, 0.02),
         noise: 0.02,
+        ..Flaws::default()
     };
     let (_, without) = fly(&images, &poses, None);
     let (mut slam, with) = fly(&images, &poses, Some(poor));
@@ -212,6 +226,88 @@ fn a_poor_gyroscope_does_no_harm() {
         .map(|(truth, estimate, _)| (truth - truth_from_map * *estimate).norm());
     let worst = errors.fold(0.0, f64::max);
     assert!(worst < 0.03, "{worst} m");
+}
+
+/// Goal: with a wrong gyroscope the camera does as well as with none, from the start on, and it is
+/// said what is wrong. Method: a walk that turns about all axes, and faster in the end.
+#[test]
+fn a_gyroscope_that_the_pictures_contradict_is_left_alone() {
+    let swaying = |frame: usize| {
+        let (seconds, walk) = (frame as f64 / RATE_HZ, pose(frame));
+        let sway = if frame < WALK_FRAMES { 0.05 } else { 0.15 };
+        Pose {
+            yaw_rad: walk.yaw_rad + sway * (2.5 * seconds).sin(),
+            pitch_rad: walk.pitch_rad + 0.05 * (3.1 * seconds).sin(),
+            ..walk
+        }
+    };
+    let poses: Vec<Pose> = (0..75).map(swaying).collect();
+    let images = render(&poses);
+    let (_, without) = fly(&images, &poses, None);
+    let without_count = tracking_count(&without);
+    assert!(without_count > 60, "{without_count}");
+    let degrees = Matrix3::identity() * 1_f64.to_degrees();
+    let other_axes = Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0);
+    for (told_from_true, is_scaled) in [
+        (degrees, true),
+        (other_axes, false),
+        (-Matrix3::identity(), false),
+    ] {
+        let flaws = Flaws {
+            told_from_true,
+            ..Flaws::default()
+        };
+        let (slam, with) = fly(&images, &poses, Some(flaws));
+        let with_count = tracking_count(&with);
+        assert!(with_count >= without_count, "{with_count} {told_from_true}");
+        match slam.gyro_state() {
+            GyroState::Refuted(GyroFault::Scale { factor }) if is_scaled => {
+                assert!((factor / 1_f64.to_degrees() - 1.0).abs() < 0.3, "{factor}");
+            }
+            state => assert_eq!(state, GyroState::Refuted(GyroFault::Axes)),
+        }
+        assert_eq!(slam.up_in_map(), None);
+    }
+    let (slam, with) = fly(&images, &poses, Some(Flaws::default()));
+    assert_eq!(slam.gyro_state(), GyroState::Confirmed);
+    assert!(tracking_count(&with) >= without_count);
+}
+
+/// Goal: a gyroscope that was right and fails costs a young map some frames, not its life. Method:
+/// one that tells half a radian too much, once, over a map of a few keyframes.
+#[test]
+fn a_young_map_outlives_a_gyroscope_that_fails() {
+    // At a few steps along the wall the camera looks about.
+    let looking_about = |frame: usize| {
+        let seconds = frame as f64 / RATE_HZ;
+        Pose {
+            position: pose(frame.min(12)).position,
+            yaw_rad: 0.06 * (2.5 * seconds).sin(),
+            pitch_rad: 0.04 * (3.1 * seconds).sin(),
+        }
+    };
+    let poses: Vec<Pose> = (0..80).map(looking_about).collect();
+    let images = render(&poses);
+    let (mut slam, reports) = fly(&images[..60], &poses, Some(Flaws::default()));
+    assert_eq!(reports[59].state, TrackingState::Tracking);
+    assert_eq!(slam.gyro_state(), GyroState::Confirmed);
+    let (map_id, keyframe_count) = (slam.map().id(), slam.map().keyframe_count());
+    assert!(keyframe_count < 6, "{keyframe_count}");
+    let astray = Pose {
+        yaw_rad: poses[59].yaw_rad + 0.5,
+        ..poses[59]
+    };
+    feed(&mut slam, 60, (&poses[59], &astray), Flaws::default());
+    let mut last = None;
+    for frame in 60..80 {
+        if frame > 60 {
+            let before = (&poses[frame - 1], &poses[frame]);
+            feed(&mut slam, frame, before, Flaws::default());
+        }
+        last = Some(slam.process(&images[frame], stamp(frame)).0);
+    }
+    let last = last.unwrap();
+    assert_eq!((last.state, last.map_id), (TrackingState::Tracking, map_id));
 }
 
 #[test]
