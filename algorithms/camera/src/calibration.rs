@@ -12,7 +12,7 @@ use geometry::{Body, Camera, Transform};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::{CameraModel, ImplausibleCamera};
-pub use matrix::CameraInfo;
+pub use matrix::{CameraInfo, Readout};
 use node::Node;
 
 /// A camera, where it sits on its vehicle, and how it takes images.
@@ -42,6 +42,20 @@ pub enum CalibrationError {
     Missing { field: String },
     #[error("{field} should hold numbers")]
     NoNumbers { field: String },
+    #[error("{field} holds {got}, expected finite numbers")]
+    NotFinite { field: String, got: f64 },
+    #[error(
+        "the region of interest of {width}×{height} at ({x}, {y}) is not inside the image of \
+         {image_width}×{image_height}"
+    )]
+    Region {
+        width: usize,
+        height: usize,
+        x: usize,
+        y: usize,
+        image_width: usize,
+        image_height: usize,
+    },
     #[error("{field} is {got:?}, expected \"pinhole\", \"ds\" or \"omni\"")]
     CameraModel { field: String, got: String },
     #[error(
@@ -123,6 +137,25 @@ fn is_mosaic(node: &Node) -> Result<bool, CalibrationError> {
         _ => Err(CalibrationError::Bayer {
             got: got.to_owned(),
         }),
+    }
+}
+
+/// The numbers of an entry, all of them finite.
+fn numbers(entry: &Node, field: impl fmt::Display) -> Result<Vec<f64>, CalibrationError> {
+    let field = || field.to_string();
+    let numbers = entry.numbers();
+    let numbers = numbers.ok_or_else(|| CalibrationError::NoNumbers { field: field() })?;
+    check_finite(&numbers, field)?;
+    Ok(numbers)
+}
+
+fn check_finite(numbers: &[f64], field: impl Fn() -> String) -> Result<(), CalibrationError> {
+    match numbers.iter().find(|number| !number.is_finite()) {
+        Some(got) => Err(CalibrationError::NotFinite {
+            field: field(),
+            got: *got,
+        }),
+        None => Ok(()),
     }
 }
 

@@ -5,7 +5,7 @@ mod distortion;
 mod image;
 mod model;
 
-pub use calibration::{Calibration, CalibrationError, CameraInfo};
+pub use calibration::{Calibration, CalibrationError, CameraInfo, Readout};
 pub use distortion::Distortion;
 pub use image::{Image, ImageSizeMismatch};
 pub use model::{CameraModel, ImplausibleCamera, Intrinsics};

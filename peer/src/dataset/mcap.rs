@@ -63,8 +63,12 @@ impl McapRecording {
     /// - `topic`: which images, if there are several kinds.
     pub fn open(path: &Path, topic: Option<&str>) -> Result<Self, McapRefusal> {
         let mut contents = Contents::default();
-        let cut = contents.read(path)?.map(|error| error.to_string());
-        let topic = contents.choose(topic)?;
+        let cut = contents.read(path)?;
+        let (topic, cut) = match (contents.choose(topic), cut) {
+            // What is missing may be all that matters.
+            (Err(_), Some(cut)) if contents.images.is_empty() => return Err(cut.into()),
+            (topic, cut) => (topic?, cut.map(|error| error.to_string())),
+        };
         let calibration = contents.calibration_beside(&topic);
         let channels = contents.channels.iter();
         let channels = channels.filter(|(_, channel)| channel.topic == topic);
@@ -162,7 +166,7 @@ struct Channel {
 impl Contents {
     /// `Some` says why the file ends too early; what came before is kept.
     fn read(&mut self, path: &Path) -> Result<Option<McapError>, McapError> {
-        let mut reader = McapReader::open(path)?;
+        let mut reader = McapReader::open_checking(path)?;
         loop {
             let channels = &self.channels;
             let record = reader.next_record(|channel_id| {

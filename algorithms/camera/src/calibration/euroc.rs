@@ -94,9 +94,7 @@ fn numbers(node: &Node, field: Field) -> Result<Vec<f64>, CalibrationError> {
         let field = field.to_string();
         return Err(CalibrationError::Missing { field });
     };
-    entry.numbers().ok_or_else(|| CalibrationError::NoNumbers {
-        field: field.to_string(),
-    })
+    super::numbers(entry, field)
 }
 
 fn exactly<const COUNT: usize>(

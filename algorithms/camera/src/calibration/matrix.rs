@@ -2,7 +2,7 @@
 
 use super::lens::{self, Coefficients};
 use super::node::Node;
-use super::{Calibration, CalibrationError, Place};
+use super::{Calibration, CalibrationError, Place, check_finite, numbers};
 use crate::CameraModel;
 
 /// What `camera_info` says, in a file or in a message.
@@ -15,6 +15,19 @@ pub struct CameraInfo {
     pub coefficients: Vec<f64>,
     /// Row by row.
     pub camera_matrix: Vec<f64>,
+    pub readout: Readout,
+}
+
+/// Which part of the sensor the images show, and how coarsely. The calibration is that of the
+/// whole sensor, as `sensor_msgs/CameraInfo` has it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Readout {
+    /// So many columns and rows become one pixel; 0 is as good as 1.
+    pub binning: [usize; 2],
+    /// Column and row of the region's first pixel, before binning.
+    pub offset: [usize; 2],
+    /// Width and height of the region, before binning; zeros for the whole sensor.
+    pub size: [usize; 2],
 }
 
 const PLACE: Place = Place::ROOT;
@@ -41,13 +54,14 @@ pub fn read(node: &Node) -> Result<Calibration, CalibrationError> {
             model => model.map(str::to_owned),
         },
         coefficients: match node.find(COEFFICIENTS) {
-            Some((name, entry)) => numbers(name, entry)?,
+            Some((name, entry)) => numbers(entry, name)?,
             None => Vec::new(),
         },
         camera_matrix: match node.find(CAMERA_MATRIX) {
-            Some((name, entry)) => numbers(name, entry)?,
+            Some((name, entry)) => numbers(entry, name)?,
             None => Vec::new(),
         },
+        readout: readout(node)?,
     };
     let mut calibration = info.calibration()?;
     calibration.is_mosaic = super::is_mosaic(node)?;
@@ -77,17 +91,74 @@ impl CameraInfo {
                 got: self.camera_matrix.clone(),
             });
         }
+        check_finite(&self.camera_matrix, || field("camera_matrix").to_string())?;
+        let coefficients_field = field("distortion_coefficients");
+        check_finite(&self.coefficients, || coefficients_field.to_string())?;
         let model = self.distortion_model.as_deref();
         let coefficients = Coefficients {
-            field: field("distortion_coefficients"),
+            field: coefficients_field,
             values: &self.coefficients,
         };
         let model = model.map(|name| (name, field("distortion_model")));
         let distortion = lens::distortion(model, &coefficients)?;
-        let intrinsics = lens::intrinsics([fx, fy, cx, cy], &distortion);
-        let camera = CameraModel::new(self.width, self.height, intrinsics, distortion)?;
+        let (lens, [width, height]) = self.read_out([fx, fy, cx, cy])?;
+        let intrinsics = lens::intrinsics(lens, &distortion);
+        let camera = CameraModel::new(width, height, intrinsics, distortion)?;
         Ok(Calibration::looking_forward(camera))
     }
+
+    /// Focal lengths and principal point in the images that are read out, and their size: what
+    /// `image_geometry` of ROS makes of region and binning, in this order.
+    fn read_out(
+        &self,
+        [fx, fy, cx, cy]: [f64; 4],
+    ) -> Result<([f64; 4], [usize; 2]), CalibrationError> {
+        let Readout {
+            binning,
+            offset: [x, y],
+            size,
+        } = self.readout;
+        let whole = [self.width, self.height];
+        let [width, height] = if size == [0, 0] { whole } else { size };
+        let ends = x.checked_add(width).zip(y.checked_add(height));
+        let is_inside = ends.is_some_and(|(right, bottom)| {
+            width > 0 && height > 0 && right <= self.width && bottom <= self.height
+        });
+        if !is_inside {
+            return Err(CalibrationError::Region {
+                width,
+                height,
+                x,
+                y,
+                image_width: self.width,
+                image_height: self.height,
+            });
+        }
+        let [across, down] = binning.map(|count| count.max(1));
+        let lens = [
+            fx / across as f64,
+            fy / down as f64,
+            (cx - x as f64) / across as f64,
+            (cy - y as f64) / down as f64,
+        ];
+        Ok((lens, [width / across, height / down]))
+    }
+}
+
+fn readout(node: &Node) -> Result<Readout, CalibrationError> {
+    let region = node.find(&["roi"]).map(|(_, region)| region);
+    let count = |parent: Option<&Node>, name: &'static str| {
+        let found = parent.and_then(|parent| parent.find(&[name]));
+        found.map_or(Ok(0), |(name, entry)| whole_number(name, entry))
+    };
+    let pair = |parent: Option<&Node>, [first, second]: [&'static str; 2]| {
+        Ok::<_, CalibrationError>([count(parent, first)?, count(parent, second)?])
+    };
+    Ok(Readout {
+        binning: pair(Some(node), ["binningx", "binningy"])?,
+        offset: pair(region, ["xoffset", "yoffset"])?,
+        size: pair(region, ["width", "height"])?,
+    })
 }
 
 fn side(node: &Node, names: &[&str], expected: &str) -> Result<usize, CalibrationError> {
@@ -95,14 +166,14 @@ fn side(node: &Node, names: &[&str], expected: &str) -> Result<usize, Calibratio
         field: expected.to_owned(),
     };
     let (name, entry) = node.find(names).ok_or_else(missing)?;
-    let number = entry.number().ok_or_else(|| CalibrationError::NoNumbers {
-        field: name.to_owned(),
-    })?;
-    Ok(number as usize)
+    whole_number(name, entry)
 }
 
-fn numbers(name: &str, entry: &Node) -> Result<Vec<f64>, CalibrationError> {
-    entry.numbers().ok_or_else(|| CalibrationError::NoNumbers {
-        field: name.to_owned(),
-    })
+fn whole_number(name: &str, entry: &Node) -> Result<usize, CalibrationError> {
+    match numbers(entry, name)?.as_slice() {
+        [number] => Ok(*number as usize),
+        _ => Err(CalibrationError::NoNumbers {
+            field: name.to_owned(),
+        }),
+    }
 }

@@ -21,7 +21,11 @@ impl Node {
     /// Reads the first document of a file, as YAML or as OpenCV writes it.
     pub fn parse(text: &str) -> Result<Self, CalibrationError> {
         let plain = first_document(text);
-        serde_saphyr::from_str(&plain).map_err(|error| {
+        // What is not finite is refused with the name of its field.
+        let options = serde_saphyr::options! {
+            non_finite_float_policy: serde_saphyr::options::NonFiniteFloatPolicy::PassThrough,
+        };
+        serde_saphyr::from_str_with_options(&plain, options).map_err(|error| {
             let reason = error.to_string();
             let first = reason.lines().next().unwrap_or_default();
             CalibrationError::Syntax(first.trim_start_matches("error: ").to_owned())

@@ -11,7 +11,7 @@ pub fn read<Target, Source>(
     node: &Node,
     field: &'static str,
 ) -> Result<Transform<Target, Source>, CalibrationError> {
-    let data = node.numbers().unwrap_or_default();
+    let data = super::numbers(node, field)?;
     if data.len() != 16 {
         return Err(CalibrationError::Count {
             field: field.to_owned(),
@@ -24,7 +24,7 @@ pub fn read<Target, Source>(
     let error = (linear * linear.transpose() - Matrix3::identity()).norm()
         + (linear.determinant() - 1.0).abs();
     let translation: Vector3<f64> = matrix.fixed_view::<3, 1>(0, 3).into_owned();
-    if error.is_nan() || error >= 1e-2 || !translation.iter().all(|value| value.is_finite()) {
+    if error >= 1e-2 {
         return Err(CalibrationError::NotRigid { field, error });
     }
     // The nearest rotation in closed form: nalgebra's iterative `from_matrix` stays where it

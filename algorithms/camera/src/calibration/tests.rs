@@ -60,7 +60,11 @@ fn refuses_calibrations_that_do_not_fit() {
     };
     check("[458.654,", "[", "intrinsics has 3 numbers");
     check("458.654", "4.0", "fx = 4 px for an image 752 px wide");
-    check("458.654", ".nan", "line 11 column 14: non-finite float");
+    check(
+        "458.654",
+        ".nan",
+        "intrinsics holds NaN, expected finite numbers",
+    );
     check("367.215", "900.0", "principal point");
     check("[752, 480]", "[752]", "resolution has 1 numbers");
     check("[752, 480]", "[7520000, 480]", "image size");
@@ -242,11 +246,22 @@ fn every_kind_names_what_is_wrong_with_it() {
     check(ros, "plumb_bob", "lens", "distortion_model is \"lens\"");
     check(ros, "[541.2, 0,", "[541.2, 9,", "expected [fx, 0, cx");
     check(ros, "[541.2, 0,", "[541.2,", "camera_matrix has 8 numbers");
+    for (number, got) in [(".nan", "NaN"), ("-.inf", "-inf"), ("1e400", "inf")] {
+        let holds = |field: &str| format!("{field} holds {got}, expected finite numbers");
+        let with = |before: &str| format!("{before}{number}, ");
+        let field = holds("distortion_coefficients");
+        check(ros, "[0.0831, ", &with("["), &field);
+        check(ros, "[541.2, ", &with("["), &holds("camera_matrix"));
+        let field = holds("cam0.resolution");
+        check(kalibr, "resolution: [", &with("resolution: ["), &field);
+        check(kalibr, "-0.1721, ", &with(""), &holds("cam0.intrinsics"));
+        check(radtan, "[0.0, -1.0, ", &with("[0.0, "), &holds("T_cam_imu"));
+    }
     check(
         ros,
-        "[0.0831, ",
-        "[.nan, ",
-        "line 12 column 10: non-finite float `.nan`",
+        "image_width: 640",
+        "image_width: .nan",
+        "image_width holds NaN",
     );
     check(ros, "[0.0831, ", "[wide, ", "should hold numbers");
     let opencv = include_str!("tests/opencv.yaml");
@@ -255,6 +270,36 @@ fn every_kind_names_what_is_wrong_with_it() {
     check(opencv, "nframes: 23", "bayer: RGB", "bayer is \"RGB\"");
     let error = Calibration::from_yaml("width: 3\n").unwrap_err();
     assert!(matches!(error, CalibrationError::UnknownKind), "{error}");
+}
+
+#[test]
+fn region_and_binning_make_the_camera_of_the_images() {
+    let text = include_str!("tests/ros_camera_info.yaml");
+    let read = |readout: &str| Calibration::from_yaml(&format!("{text}\n{readout}"));
+    let camera_of = |readout: &str| {
+        let camera = read(readout).unwrap().camera;
+        ((camera.width(), camera.height()), lens(&camera))
+    };
+    let whole = ((640, 480), [541.2, 540.9, 322.4, 236.1]);
+    let no_region = "roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}\n";
+    assert_eq!(camera_of(no_region), whole);
+    assert_eq!(
+        camera_of(&format!("binning_x: 1\nbinning_y: 1\n{no_region}")),
+        whole
+    );
+    let expected = ((320, 240), [270.6, 270.45, 161.2, 118.05]);
+    assert_eq!(camera_of("binning_x: 2\nbinning_y: 2\n"), expected);
+    // The region is chosen before its pixels are binned.
+    let region = "roi: {x_offset: 160, y_offset: 120, height: 240, width: 320}\n";
+    let (size, [fx, fy, cx, cy]) = camera_of(&format!("binning_x: 2\nbinning_y: 2\n{region}"));
+    assert_eq!(size, (160, 120));
+    let expected = [270.6, 270.45, (322.4 - 160.0) / 2.0, (236.1 - 120.0) / 2.0];
+    for (got, expected) in [fx, fy, cx, cy].into_iter().zip(expected) {
+        assert!((got - expected).abs() < 1e-9, "{got} {expected}");
+    }
+    let error = read("roi: {x_offset: 400, y_offset: 0, height: 480, width: 320}\n").unwrap_err();
+    let expected = "region of interest of 320×480 at (400, 0) is not inside";
+    assert!(error.to_string().contains(expected), "{error}");
 }
 
 #[test]

@@ -16,6 +16,8 @@ pub enum ChunkError {
         "unpacked it should have {expected_bytes} bytes, at most {UNPACKED_MAX_BYTES} are read"
     )]
     TooLarge { expected_bytes: u64 },
+    #[error("its contents are damaged: checksum {got:08x}, expected {expected:08x}")]
+    Checksum { got: u32, expected: u32 },
     #[error("{got_bytes} of {expected_bytes} bytes could be unpacked: {reason}")]
     Damaged {
         got_bytes: usize,
@@ -57,6 +59,15 @@ pub fn unpack(name: &str, packed: &[u8], expected_bytes: u64) -> (Vec<u8>, Optio
         Ok(()) => None,
     };
     (unpacked, broken)
+}
+
+/// Of a file without checksums the expected one is zero.
+pub fn check(got: u32, expected: u32) -> Result<(), ChunkError> {
+    if expected == 0 || got == expected {
+        Ok(())
+    } else {
+        Err(ChunkError::Checksum { got, expected })
+    }
 }
 
 /// Keeps what was read before an error, and reads no more than was promised.

@@ -1,6 +1,6 @@
 //! Messages with images and calibrations.
 
-use camera::CameraInfo;
+use camera::{CameraInfo, Readout};
 
 use super::cdr::{MessageEnds, RosEncoding, RosReader};
 use super::protobuf::{Value, fields};
@@ -184,6 +184,11 @@ fn ros_camera(encoding: RosEncoding, bytes: &[u8]) -> Result<PublishedCamera, Me
     let coefficients = reader.f64s(coefficient_count)?;
     let camera_matrix = reader.f64s(9)?;
     let _rectification = reader.f64s(9)?;
+    let projection_matrix = reader.f64s(12)?;
+    // Some write no more than this; then the images show the whole sensor.
+    let mut next = || reader.u32().map_or(0, |number| number as usize);
+    let (binning, offset) = ([next(), next()], [next(), next()]);
+    let (roi_height, roi_width) = (next(), next());
     Ok(PublishedCamera {
         info: CameraInfo {
             width,
@@ -191,8 +196,13 @@ fn ros_camera(encoding: RosEncoding, bytes: &[u8]) -> Result<PublishedCamera, Me
             distortion_model: Some(distortion_model),
             coefficients,
             camera_matrix,
+            readout: Readout {
+                binning,
+                offset,
+                size: [roi_width, roi_height],
+            },
         },
-        projection_matrix: reader.f64s(12)?,
+        projection_matrix,
     })
 }
 
@@ -225,6 +235,7 @@ fn foxglove_camera(bytes: &[u8]) -> PublishedCamera {
         distortion_model: Some(String::new()),
         coefficients: Vec::new(),
         camera_matrix: Vec::new(),
+        readout: Readout::default(),
     };
     let mut projection_matrix = Vec::new();
     for field in fields(bytes) {

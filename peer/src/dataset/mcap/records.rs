@@ -41,8 +41,10 @@ pub enum McapError {
         offset_bytes: u64,
         error: std::io::Error,
     },
-    #[error("cannot read the chunk before byte {offset_bytes}: {error}")]
+    #[error("cannot read chunk {number}, which begins at byte {offset_bytes}: {error}")]
     Chunk {
+        /// Counted from one.
+        number: usize,
         offset_bytes: u64,
         error: ChunkError,
     },
@@ -59,6 +61,11 @@ pub struct McapReader {
     is_unpacked: bool,
     /// The chunk that was unpacked did not end as it should.
     broken_chunk: Option<ChunkError>,
+    chunk_count: usize,
+    /// Where the newest chunk begins.
+    chunk_at: u64,
+    /// Whether the contents of chunks are held against their checksums.
+    checks: bool,
 }
 
 /// Longer records than this are taken for damage.
@@ -76,9 +83,19 @@ impl McapReader {
         };
         let mut file = File::open(path).map_err(unreadable)?;
         let length = file.metadata().map_err(unreadable)?.len();
-        let mut magic = [0; mcap::MAGIC.len()];
-        if file.read_exact(&mut magic).is_err() || magic != mcap::MAGIC {
+        let mut magic = Vec::new();
+        let magic_bytes = mcap::MAGIC.len() as u64;
+        let read = Read::by_ref(&mut file)
+            .take(magic_bytes)
+            .read_to_end(&mut magic);
+        read.map_err(unreadable)?;
+        if !mcap::MAGIC.starts_with(&magic) {
             return Err(McapError::NoMcap);
+        }
+        if magic.len() < mcap::MAGIC.len() {
+            return Err(McapError::CutOff {
+                offset_bytes: length,
+            });
         }
         Ok(Self {
             file: BufReader::with_capacity(1 << 16, file),
@@ -87,6 +104,18 @@ impl McapReader {
             unpacked: Cursor::default(),
             is_unpacked: false,
             broken_chunk: None,
+            chunk_count: 0,
+            chunk_at: 0,
+            checks: false,
+        })
+    }
+
+    /// As [`Self::open`], for who does not know yet whether the file is whole: a damaged chunk ends
+    /// it, at the price of reading also what is not wanted.
+    pub fn open_checking(path: &Path) -> Result<Self, McapError> {
+        Ok(Self {
+            checks: true,
+            ..Self::open(path)?
         })
     }
 
@@ -135,10 +164,12 @@ impl McapReader {
             return Err(self.cut_off());
         }
         let position = self.position;
+        self.chunk_count += 1;
+        self.chunk_at = position - RECORD_HEAD_BYTES;
         // Start and end time, size and checksum when unpacked.
         self.skip(8 + 8)?;
         let unpacked_bytes = self.read_u64()?;
-        self.skip(4)?;
+        let checksum = self.read_u32()?;
         let name_bytes = u64::from(self.read_u32()?);
         let name = String::from_utf8_lossy(&self.read(name_bytes)?).into_owned();
         let packed_bytes = self.read_u64()?;
@@ -146,21 +177,51 @@ impl McapReader {
             return Err(self.cut_off());
         }
         if name.is_empty() {
-            return Ok(());
+            return self.check_unpacked(packed_bytes, checksum);
         }
         let available = packed_bytes.min(self.length - self.position);
         let packed = self.read(available)?;
         let (unpacked, broken) = chunk::unpack(&name, &packed, unpacked_bytes);
         if let Some(error @ ChunkError::Unknown { .. }) = broken {
-            let offset_bytes = self.position;
-            return Err(McapError::Chunk {
-                offset_bytes,
-                error,
-            });
+            return Err(self.in_chunk(error));
+        }
+        if self.checks && broken.is_none() {
+            let checked = chunk::check(crc32fast::hash(&unpacked), checksum);
+            checked.map_err(|error| self.in_chunk(error))?;
         }
         self.unpacked = Cursor::new(unpacked);
         self.broken_chunk = broken;
         Ok(())
+    }
+
+    /// Reads a chunk that is not compressed and goes back to its start.
+    fn check_unpacked(&mut self, size_bytes: u64, checksum: u32) -> Result<(), McapError> {
+        if !self.checks || checksum == 0 || size_bytes > self.left() {
+            return Ok(());
+        }
+        let mut hasher = crc32fast::Hasher::new();
+        let mut part = vec![0; 1 << 16];
+        let mut left = size_bytes;
+        while left > 0 {
+            let wanted = left.min(part.len() as u64) as usize;
+            let read = self.file.read_exact(&mut part[..wanted]);
+            read.map_err(|error| self.unreadable(error))?;
+            hasher.update(&part[..wanted]);
+            left -= wanted as u64;
+        }
+        // Files of more than 8 EiB do not exist.
+        let back = self.file.seek_relative(-(size_bytes as i64));
+        back.map_err(|error| self.unreadable(error))?;
+        let checked = chunk::check(hasher.finalize(), checksum);
+        checked.map_err(|error| self.in_chunk(error))
+    }
+
+    fn in_chunk(&self, error: ChunkError) -> McapError {
+        McapError::Chunk {
+            number: self.chunk_count,
+            offset_bytes: self.chunk_at,
+            error,
+        }
     }
 
     fn read_description(
@@ -273,10 +334,7 @@ impl McapReader {
     fn cut_off(&mut self) -> McapError {
         let offset_bytes = self.position;
         match self.broken_chunk.take() {
-            Some(error) => McapError::Chunk {
-                offset_bytes,
-                error,
-            },
+            Some(error) => self.in_chunk(error),
             None => McapError::CutOff { offset_bytes },
         }
     }

@@ -53,6 +53,11 @@ fn raw(style: Style, seconds: u32, shade: u8) -> Vec<u8> {
 }
 
 fn camera_info(style: Style, fx: f64) -> Vec<u8> {
+    camera_info_of(style, fx, (32, 24), [0; 6])
+}
+
+/// - `readout`: binning across and down, column, row, height and width of the region.
+fn camera_info_of(style: Style, fx: f64, size_px: (u32, u32), readout: [u32; 6]) -> Vec<u8> {
     let k = [fx, 0.0, 16.0, 0.0, fx, 12.0, 0.0, 0.0, 1.0];
     let p = [
         40.0, 0.0, 15.0, 0.0, 0.0, 40.0, 11.0, 0.0, 0.0, 0.0, 1.0, 0.0,
@@ -60,16 +65,21 @@ fn camera_info(style: Style, fx: f64) -> Vec<u8> {
     let fields = [
         Field::Header(1, 0),
         Field::Text("camera"),
-        Field::U32(24),
-        Field::U32(32),
+        Field::U32(size_px.1),
+        Field::U32(size_px.0),
         Field::Text("plumb_bob"),
         Field::U32(5),
     ];
     let numbers = [&[-0.1, 0.01, 0.0, 0.0, 0.0], &k[..], &[0.0; 9], &p].concat();
     let numbers = numbers.into_iter().map(Field::F64);
+    let readout = readout.map(Field::U32).into_iter().chain([Field::U8(0)]);
     ros_message(
         style,
-        &fields.into_iter().chain(numbers).collect::<Vec<_>>(),
+        &fields
+            .into_iter()
+            .chain(numbers)
+            .chain(readout)
+            .collect::<Vec<_>>(),
     )
 }
 
@@ -320,6 +330,51 @@ fn the_calibration_is_that_of_the_images() {
 }
 
 #[test]
+fn a_camera_that_bins_and_crops_is_that_of_its_images() {
+    let images = compressed(Style::Cdr, 1, &pgm(9));
+    for (style, encoding) in [
+        (Style::Cdr, "cdr"),
+        (Style::Cdr2, "cdr"),
+        (Style::Ros1, "ros1"),
+    ] {
+        // Half of the columns and rows of the middle of 96×72 pixels.
+        let info = camera_info_of(style, 60.0, (96, 72), [2, 2, 0, 0, 48, 64]);
+        let messages = [
+            ("/cam/image", COMPRESSED, "cdr", 1, images.clone()),
+            ("/cam/camera_info", CAMERA_INFO, encoding, 1, info),
+        ];
+        let (_folder, path) = in_file(&write(&messages));
+        let dataset = Dataset::open(&path.display().to_string().parse().unwrap());
+        let camera = dataset.map(|dataset| dataset.calibration().camera.clone());
+        let camera = camera.unwrap();
+        assert_eq!((camera.width(), camera.height()), (32, 24));
+        let intrinsics = camera.intrinsics();
+        assert_eq!(
+            (intrinsics.fx, intrinsics.cx, intrinsics.cy),
+            (30.0, 8.0, 6.0)
+        );
+    }
+    // Images of the whole sensor are not what it says.
+    let messages = [
+        ("/cam/image", COMPRESSED, "cdr", 1, images),
+        (
+            "/cam/camera_info",
+            CAMERA_INFO,
+            "cdr",
+            1,
+            camera_info_of(Style::Cdr, 60.0, (96, 72), [2, 2, 0, 0, 0, 0]),
+        ),
+    ];
+    let (_folder, path) = in_file(&write(&messages));
+    let error = Dataset::open(&path.display().to_string().parse().unwrap()).unwrap_err();
+    let error = error.to_string();
+    assert!(
+        error.contains("is for 48×36, the images have 32×24"),
+        "{error}"
+    );
+}
+
+#[test]
 fn a_folder_with_one_file_is_that_recording_and_brings_its_calibration() {
     let open = |messages: &[TestMessage]| {
         let (folder, _) = in_file(&write(messages));
@@ -393,7 +448,7 @@ fn recompressed(bytes: &[u8], name: &str, compress: impl Fn(&[u8]) -> Vec<u8>) -
                         let mut body = header.message_start_time.to_le_bytes().to_vec();
                         body.extend(header.message_end_time.to_le_bytes());
                         body.extend((data.len() as u64).to_le_bytes());
-                        body.extend(0_u32.to_le_bytes());
+                        body.extend(header.uncompressed_crc.to_le_bytes());
                         body.extend((name.len() as u32).to_le_bytes());
                         body.extend(name.as_bytes());
                         body.extend((packed.len() as u64).to_le_bytes());
@@ -481,6 +536,62 @@ fn a_file_cut_off_anywhere_has_the_images_before_the_cut() {
         assert!(counts.is_sorted(), "{counts:?}");
         assert_eq!(counts.first().zip(counts.last()), Some((&0, &3)));
         assert!(counts.contains(&1), "{counts:?}");
+    }
+}
+
+#[test]
+fn a_file_of_which_next_to_nothing_is_left_is_called_cut() {
+    let whole = write(&flight());
+    for length in [0, 5, 8, 20, 60] {
+        let (_folder, path) = in_file(&whole[..length]);
+        let error = McapRecording::open(&path, None).unwrap_err().to_string();
+        assert!(
+            error.starts_with("cut off or damaged after "),
+            "{length}: {error}"
+        );
+    }
+    let (_folder, path) = in_file(b"no mcap at all");
+    let error = McapRecording::open(&path, None).unwrap_err().to_string();
+    assert!(error.starts_with("no MCAP file"), "{error}");
+}
+
+#[test]
+fn a_chunk_whose_contents_changed_ends_the_recording_before_it() {
+    let small = mcap::WriteOptions::new()
+        .compression(None)
+        .chunk_size(Some(700));
+    let plain = write_with(small, &flight());
+    let check = |bytes: &[u8], intact_count: usize| {
+        let (_folder, path) = in_file(bytes);
+        let recording = McapRecording::open(&path, None).unwrap();
+        assert_eq!(shades(&recording), FLIGHT[..intact_count]);
+        let cut = recording.cut().unwrap();
+        assert!(cut.contains("its contents are damaged: checksum "), "{cut}");
+        let number = format!("cannot read chunk {}, ", intact_count + 1);
+        assert!(cut.starts_with(&number), "{cut}");
+        let offset = cut.split("begins at byte ").nth(1).unwrap();
+        let offset: usize = offset.split(':').next().unwrap().parse().unwrap();
+        assert_eq!(bytes[offset], mcap::records::op::CHUNK, "{cut}");
+    };
+    for idx in 1..3 {
+        // A row of an image, which nothing else looks like.
+        let row = [10 * (idx as u8 + 1); 32];
+        let damaged = |bytes: &[u8]| {
+            let mut bytes = bytes.to_vec();
+            if let Some(place) = bytes.windows(32).position(|window| window == row) {
+                bytes[place + 5] ^= 1;
+            }
+            bytes
+        };
+        check(&damaged(&plain), idx);
+        check(
+            &recompressed(&plain, "lz4", |chunk| lz4(&damaged(chunk))),
+            idx,
+        );
+        check(
+            &recompressed(&plain, "zstd", |chunk| zstd(&damaged(chunk))),
+            idx,
+        );
     }
 }
 
