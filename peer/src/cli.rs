@@ -17,6 +17,8 @@ use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 
+use crate::files::Clash;
+
 /// How a command ended, when it did not end with an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
@@ -94,9 +96,13 @@ pub fn main() -> ExitCode {
         Ok(Exit::Interrupted) => ExitCode::from(130),
         Err(error) => {
             output::diagnose(&format!("error: {error:#}"));
-            ExitCode::from(if error.is::<UsageError>() { 2 } else { 1 })
+            ExitCode::from(if is_wrong_usage(&error) { 2 } else { 1 })
         }
     }
+}
+
+fn is_wrong_usage(error: &anyhow::Error) -> bool {
+    error.is::<UsageError>() || error.is::<Clash>()
 }
 
 fn dispatch(command: Command, matches: &ArgMatches) -> anyhow::Result<Exit> {

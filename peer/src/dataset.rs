@@ -15,8 +15,10 @@ use std::path::{Path, PathBuf};
 use camera::{Calibration, Image};
 use geometry::Timestamp;
 
+use crate::files::NamedFile;
 pub use argument::{DatasetArgument, FrameRange, MalformedRange};
 pub use calibration_file::CalibrationFile;
+use calibration_file::GivenCalibration;
 use decode::{BitDepth, IMAGE_BYTES_MAX};
 pub use decode::{ImageError, decode_grey};
 pub use error::{DatasetError, UnreadableImage};
@@ -34,6 +36,8 @@ pub struct Dataset {
     /// Of images with 16 bits.
     depth: BitDepth,
     losses: Vec<String>,
+    /// What was read beside the images.
+    files: Vec<NamedFile>,
 }
 
 /// One image of a recording, not read yet.
@@ -67,7 +71,7 @@ impl Dataset {
         argument: &DatasetArgument,
         options: &RecordingOptions,
     ) -> Result<Self, DatasetError> {
-        let given = options.calibration.as_deref().map(CalibrationFile::read);
+        let given = options.calibration.as_deref().map(GivenCalibration::read);
         let given = given.transpose()?;
         let (source, path) = Source::open(&argument.path, options)?;
         let all_frames = source.list_frames(&path)?;
@@ -75,9 +79,13 @@ impl Dataset {
         let frames = choose_frames(all_frames, argument)?;
         let mut first = FirstImages::new(&source, &frames)?;
         let file = match given {
-            Some(file) => file,
+            Some(given) => given.for_images(first.size_px)?,
             None => source.read_calibration(&path, first.size_px)?,
         };
+        let files = vec![
+            source.list(&path),
+            NamedFile::new("the calibration", &file.path),
+        ];
         let Some(depth) = first.look_further(file.size_px()) else {
             return Err(DatasetError::CalibrationSize {
                 expected_px: file.size_px(),
@@ -103,6 +111,7 @@ impl Dataset {
             frames,
             depth,
             losses,
+            files,
         })
     }
 
@@ -126,6 +135,15 @@ impl Dataset {
     /// What should be in the recording and is not, a sentence each.
     pub fn losses(&self) -> &[String] {
         &self.losses
+    }
+
+    /// All files that are read, or were.
+    pub fn files(&self) -> impl Iterator<Item = NamedFile> {
+        let frames = self.frames.iter();
+        let is_file_each = self.source.has_image_files();
+        let images = frames.filter(move |_| is_file_each);
+        let images = images.map(|entry| NamedFile::new("an image of the recording", &entry.path));
+        self.files.iter().cloned().chain(images)
     }
 
     /// Reads the frames one after the other.

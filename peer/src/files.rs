@@ -18,9 +18,9 @@ pub use cloud::{check_cloud_name, read_cloud, write_cloud};
 pub use covariance::{
     COVARIANCE_HEADER, format_covariance_line, read_covariances, write_covariances,
 };
-pub use destination::{check_destination, create_folder};
+pub use destination::{Clash, NamedFile, check_destination, check_distinct, create_folder};
 pub use error::FileError;
-pub use imu::{ImuReading, ImuReadings, read_imu};
+pub use imu::{ImuReading, ImuReadings, imu_mounting, read_imu};
 pub use point_cloud::PointCloud;
 pub use slam_map::{read_slam_map, write_slam_map};
 pub use stamp::parse_seconds;

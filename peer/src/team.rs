@@ -18,8 +18,8 @@ use anyhow::{Context, anyhow, bail};
 use crate::config::{
     CameraConfig, EstimationConfig, PositionConfig, VehicleConfig, ZenohConfig, ZenohMode,
 };
-use crate::dataset::{Dataset, DatasetArgument, RecordingOptions};
-use crate::files::create_folder;
+use crate::dataset::{Dataset, DatasetArgument, DatasetError, RecordingOptions};
+use crate::files::{NamedFile, check_distinct, create_folder};
 use crate::process::VehicleSummary;
 use crate::process::control::{Order, Report};
 use crate::process::interrupt::{self, Interrupted};
@@ -135,6 +135,8 @@ const TICK_PATIENCE: Duration = Duration::from_secs(30);
 pub fn fly(plan: &TeamPlan, observe: &mut dyn FnMut(Progress<'_>)) -> anyhow::Result<TeamReport> {
     create_folder(&plan.out)?;
     let recordings = open_recordings(plan)?;
+    check_inputs_are_kept(plan, &recordings)?;
+    let recordings = recordings.iter().map(stamps).collect::<Vec<_>>();
     let ticks = clock::ticks(&recordings);
     interrupt::listen();
     let mut team = Team::new(plan);
@@ -207,15 +209,42 @@ impl Flight {
 }
 
 /// The time stamps of each vehicle's frames.
-fn open_recordings(plan: &TeamPlan) -> anyhow::Result<Vec<Vec<i64>>> {
-    let stamps = plan.vehicles.iter().map(|vehicle| {
-        let dataset = Dataset::open_with(&vehicle.dataset, &vehicle.recording)?;
-        let frames = dataset.frames().iter();
-        Ok(frames
-            .map(|frame| frame.captured_at.nanoseconds())
-            .collect())
+fn open_recordings(plan: &TeamPlan) -> Result<Vec<Dataset>, DatasetError> {
+    let vehicles = plan.vehicles.iter();
+    let datasets = vehicles.map(|one| Dataset::open_with(&one.dataset, &one.recording));
+    datasets.collect()
+}
+
+fn stamps(dataset: &Dataset) -> Vec<i64> {
+    let frames = dataset.frames().iter();
+    frames
+        .map(|frame| frame.captured_at.nanoseconds())
+        .collect()
+}
+
+/// Files of an earlier flight are replaced, unless this one reads them.
+fn check_inputs_are_kept(plan: &TeamPlan, recordings: &[Dataset]) -> anyhow::Result<()> {
+    let entries = std::fs::read_dir(&plan.out)
+        .with_context(|| format!("cannot list the folder {}", plan.out.display()))?;
+    let is_ours = |name: &str| {
+        let mut vehicles = plan.vehicles.iter();
+        vehicles.any(|one| {
+            name.strip_prefix(&one.id)
+                .is_some_and(|rest| rest.starts_with('.'))
+        })
+    };
+    let results = entries.filter_map(|entry| {
+        let entry = entry.ok()?;
+        let is_ours = is_ours(&entry.file_name().to_string_lossy());
+        is_ours.then(|| NamedFile::new("--out", entry.path()))
     });
-    stamps.collect()
+    let fixes = plan.vehicles.iter().filter_map(|vehicle| {
+        let file = vehicle.position.as_ref()?.file.as_ref()?;
+        Some(NamedFile::new("the fixes", file))
+    });
+    let inputs = recordings.iter().flat_map(Dataset::files).chain(fixes);
+    check_distinct(&results.collect::<Vec<_>>(), inputs)?;
+    Ok(())
 }
 
 /// The running vehicles and the links between them.

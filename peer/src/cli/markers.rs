@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::{Exit, UsageError, output};
 use crate::dataset;
-use crate::files;
+use crate::files::{self, NamedFile};
 use list::ListedImage;
 
 #[derive(clap::Args)]
@@ -93,7 +93,7 @@ struct TrackSummary {
 pub fn run(arguments: &MarkersArguments) -> anyhow::Result<Exit> {
     let listed = list::list_images(&arguments.images)?;
     if let Some(folder) = &arguments.annotate {
-        prepare_folder(folder, &arguments.images)?;
+        prepare_folder(folder, &arguments.images, &listed)?;
     }
     let finder = finder_settings(arguments.baseline);
     let mut camera = CameraMarkers::new(finder, TrackerSettings::default(), 0);
@@ -155,7 +155,7 @@ fn parse_baseline(text: &str) -> Result<f64, String> {
 }
 
 /// Makes the folder for annotated images, which must not replace those that are read.
-fn prepare_folder(folder: &Path, images: &Path) -> anyhow::Result<()> {
+fn prepare_folder(folder: &Path, images: &Path, listed: &[ListedImage]) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let is_same = match (folder.canonicalize(), images.canonicalize()) {
@@ -166,6 +166,15 @@ fn prepare_folder(folder: &Path, images: &Path) -> anyhow::Result<()> {
         let reason = "--annotate would overwrite the images that are read; give another folder";
         return Err(UsageError(format!("{reason} than {}", images.display())).into());
     }
+    // The images of a recording may lie anywhere.
+    let mut names = BTreeSet::new();
+    let pictures = listed.iter().map(|entry| {
+        let path = annotate::path_in(folder, &entry.path, &mut names);
+        NamedFile::new("--annotate", path)
+    });
+    let inputs = listed.iter();
+    let inputs = inputs.map(|entry| NamedFile::new("an image", &entry.path));
+    files::check_distinct(&pictures.collect::<Vec<_>>(), inputs)?;
     Ok(())
 }
 

@@ -14,7 +14,7 @@ use registration::{
 use serde::Serialize;
 
 use super::{Exit, UsageError, output};
-use crate::files;
+use crate::files::{self, NamedFile};
 use crate::plot::{Color, Layer, Mark, Picture, Plot, check_picture_name};
 
 #[derive(clap::Args)]
@@ -109,6 +109,14 @@ pub fn run(arguments: &RegisterArguments) -> anyhow::Result<Exit> {
     if let Some(path) = &arguments.plot {
         check_picture_name(path).map_err(UsageError::because)?;
         files::check_destination(path)?;
+        let mut inputs = vec![
+            NamedFile::new("SOURCE", &arguments.source),
+            NamedFile::new("TARGET", &arguments.target),
+        ];
+        if matches!(settings.start, Start::Given(_)) {
+            inputs.push(NamedFile::new("the start of --init", &arguments.init));
+        }
+        files::check_distinct(&[NamedFile::new("--plot", path)], inputs)?;
     }
     let (source, source_dropped) = read_usable(&arguments.source)?;
     let (target, target_dropped) = read_usable(&arguments.target)?;

@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use camera::{Calibration, CalibrationError, CameraModel, Distortion, Intrinsics};
 use geometry::Timestamp;
 
+use super::calibration_file::SizelessCalibration;
 use super::source::CALIBRATION_NAMES;
 use super::{CalibrationFile, DatasetError, FrameEntry};
 use crate::files::{FileError, parse_seconds};
@@ -44,22 +44,25 @@ impl Layout {
         }
     }
 
+    /// The file with the time stamps.
+    pub fn list(self, folder: &Path) -> PathBuf {
+        match self {
+            Self::TumRgbd => folder.join("rgb.txt"),
+            Self::Euroc => euroc_camera(folder).join("data.csv"),
+            Self::Kitti => folder.join("times.txt"),
+        }
+    }
+
     /// All frames with strictly increasing time stamps.
     pub fn list_frames(self, folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
-        let (list, frames) = match self {
-            Self::TumRgbd => {
-                let list = folder.join("rgb.txt");
-                let frames = read_list(&list, |line| read_tum_line(folder, line))?;
-                (list, frames)
-            }
+        let list = self.list(folder);
+        let frames = match self {
+            Self::TumRgbd => read_list(&list, |line| read_tum_line(folder, line))?,
             Self::Euroc => {
-                let camera = euroc_camera(folder);
-                let list = camera.join("data.csv");
-                let images = camera.join("data");
-                let frames = read_list(&list, |line| read_euroc_line(&images, line))?;
-                (list, frames)
+                let images = euroc_camera(folder).join("data");
+                read_list(&list, |line| read_euroc_line(&images, line))?
             }
-            Self::Kitti => (folder.join("image_0"), list_kitti(folder)?),
+            Self::Kitti => list_kitti(folder, list.clone())?,
         };
         if frames.is_empty() {
             return Err(DatasetError::NoImages { path: list });
@@ -83,11 +86,7 @@ impl Layout {
         }
         let kitti = folder.join("calib.txt");
         if self == Self::Kitti && kitti.is_file() {
-            let calibration = read_kitti_calibration(&kitti, image_size_px)?;
-            return Ok(CalibrationFile {
-                calibration,
-                path: kitti,
-            });
+            return SizelessCalibration::read(&kitti)?.for_images(image_size_px);
         }
         let first = match self {
             Self::TumRgbd => "",
@@ -113,7 +112,7 @@ fn euroc_camera(folder: &Path) -> PathBuf {
     }
 }
 
-fn read_text(path: &Path) -> Result<String, DatasetError> {
+pub fn read_text(path: &Path) -> Result<String, DatasetError> {
     let text = fs::read_to_string(path).map_err(|error| {
         let path = path.to_owned();
         FileError::Read { error, path }
@@ -190,7 +189,7 @@ fn read_euroc_line(images: &Path, line: &str) -> Result<(Timestamp, PathBuf), St
 
 const IMAGE_EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "pgm", "ppm"];
 
-fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
+fn list_kitti(folder: &Path, times: PathBuf) -> Result<Vec<FrameEntry>, DatasetError> {
     let images = folder.join("image_0");
     let unreadable = |error| FileError::Read {
         error,
@@ -208,7 +207,6 @@ fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
         }
     }
     paths.sort();
-    let times = folder.join("times.txt");
     let mut frames = read_list(&times, |line| {
         let captured_at =
             parse_seconds(line).ok_or_else(|| format!("{line:?} is no time stamp in seconds"))?;
@@ -230,39 +228,4 @@ fn list_kitti(folder: &Path) -> Result<Vec<FrameEntry>, DatasetError> {
         frame.path = path;
     }
     Ok(frames)
-}
-
-/// Reads the line `P0:` of a KITTI `calib.txt`: a 3×4 projection matrix, row by row.
-fn read_kitti_calibration(
-    path: &Path,
-    (width, height): (usize, usize),
-) -> Result<Calibration, DatasetError> {
-    let text = read_text(path)?;
-    let refused = |reason: String, line| FileError::Line {
-        reason,
-        path: path.to_owned(),
-        line,
-    };
-    let (line_idx, numbers) = text
-        .lines()
-        .enumerate()
-        .find_map(|(line_idx, line)| Some((line_idx, line.strip_prefix("P0:")?)))
-        .ok_or_else(|| refused("no line `P0:`".to_owned(), 1))?;
-    let numbers: Vec<f64> = numbers
-        .split_whitespace()
-        .map_while(|number| number.parse().ok())
-        .collect();
-    let &[fx, _, cx, _, _, fy, cy, ..] = numbers.as_slice() else {
-        let reason = format!("P0 has {} numbers, expected 12", numbers.len());
-        return Err(refused(reason, line_idx + 1).into());
-    };
-    let intrinsics = Intrinsics { fx, fy, cx, cy };
-    let camera =
-        CameraModel::new(width, height, intrinsics, Distortion::None).map_err(|error| {
-            DatasetError::Calibration {
-                error: CalibrationError::Implausible(error),
-                path: path.to_owned(),
-            }
-        })?;
-    Ok(Calibration::looking_forward(camera))
 }

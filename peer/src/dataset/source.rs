@@ -8,6 +8,7 @@ use super::video::{self, Video, VideoImages};
 use super::{
     CalibrationFile, DatasetError, FrameEntry, ImageError, Layout, RecordingOptions, read_bytes,
 };
+use crate::files::NamedFile;
 
 /// Where the images of a recording are.
 #[derive(Clone, Debug)]
@@ -90,6 +91,18 @@ impl Source {
             error,
             path: path.to_owned(),
         })
+    }
+
+    /// The file that says which images there are, or the one that holds them.
+    ///
+    /// - `path`: of the recording.
+    pub fn list(&self, path: &Path) -> NamedFile {
+        match self {
+            Self::Folder(layout) => {
+                NamedFile::new("the recording's list of images", layout.list(path))
+            }
+            Self::Mcap(_) | Self::Video(_) => NamedFile::new("the recording", path),
+        }
     }
 
     /// All frames, with increasing time stamps.

@@ -346,6 +346,26 @@ fn reads_euroc_and_kitti_folders() {
         shades(DatasetCamera::inline(dataset))[1],
         (1, 103_735_900, 2)
     );
+    // Elsewhere it is the same, also for images that lie otherwise.
+    let given = |folder: &Path| {
+        let options = RecordingOptions {
+            calibration: Some(kitti.path().join("calib.txt")),
+            ..RecordingOptions::default()
+        };
+        let argument = folder.display().to_string().parse().unwrap();
+        Dataset::open_with(&argument, &options)
+    };
+    for folder in [kitti.path(), euroc.path()] {
+        let camera = given(folder).unwrap().calibration().camera.clone();
+        assert_eq!((camera.width(), camera.intrinsics().fy), (32, 31.0));
+    }
+    write(
+        kitti.path(),
+        "calib.txt",
+        "P0: nan 0 16 0 0 31 12 0 0 0 1 0\n",
+    );
+    let error = given(euroc.path()).unwrap_err().to_string();
+    assert!(error.contains("fx = NaN is not a finite number"), "{error}");
     write(kitti.path(), "calib.txt", "P0: 30 0\n");
     assert!(refusal(kitti.path()).contains("P0 has 2 numbers"));
     write(kitti.path(), "times.txt", "0.0\n");

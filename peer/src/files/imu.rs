@@ -2,7 +2,8 @@
 //! `T_BS` in a `sensor.yaml` beside it.
 
 use std::fs;
-use std::path::Path;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 use geometry::Timestamp;
 use nalgebra::{Matrix3, Vector3};
@@ -26,20 +27,102 @@ pub struct ImuReadings {
     pub skipped_count: usize,
     /// Line and reason of the first that is none.
     pub first_skipped: Option<(usize, String)>,
+    /// What is odd about all of them, a sentence each.
+    pub doubts: Vec<String>,
 }
+
+/// Faster than any vehicle whose camera sees something turns, and than what most gyroscopes can
+/// measure: 2000°/s (rad/s).
+const RATE_MAX: f64 = 35.0;
+/// Some of them may be errors of the sensor.
+const FAST_SHARE_MAX: f64 = 0.01;
+/// Between two readings: no inertial sensor is faster than 50 kHz (s).
+const INTERVAL_S_MIN: f64 = 2e-5;
+/// Over longer intervals turns are not followed: see `vslam` (s).
+const INTERVAL_S_MAX: f64 = 0.05;
+/// What an accelerometer feels most of the time, whatever a vehicle does (m/s²).
+const FORCE: Range<f64> = 5.0..15.0;
 
 /// Reads a file of readings. Lines that are none are skipped and counted; a stamp that does not
 /// increase is an error, since nobody knows which of them are wrong.
 pub fn read_imu(path: &Path) -> Result<ImuReadings, FileError> {
     let text = read_text(path)?;
-    let mounting = path.with_file_name("sensor.yaml");
+    let mounting = imu_mounting(path);
     let body_from_sensor = if mounting.is_file() {
         let text = read_text(&mounting)?;
         parse_mounting(&text).map_err(|refused| refused.into_error(&mounting))?
     } else {
         Matrix3::identity()
     };
-    parse(&text, &body_from_sensor).map_err(|refused| refused.into_error(path))
+    let mut found = parse(&text, &body_from_sensor).map_err(|refused| refused.into_error(path))?;
+    found.check().map_err(|refused| refused.into_error(path))?;
+    Ok(found)
+}
+
+impl ImuReadings {
+    /// Refuses what cannot be in the units that are expected, and notes what is odd.
+    fn check(&mut self) -> Result<(), Refused> {
+        let stamps = self.readings.iter().map(|one| one.captured_at);
+        let intervals = stamps.clone().zip(stamps.skip(1));
+        if let Some(interval_s) = median(intervals.map(|(earlier, later)| later - earlier)) {
+            if interval_s < INTERVAL_S_MIN {
+                return Err(Refused::whole(format!(
+                    "by their stamps the readings are {:.3} µs apart, faster than any sensor; \
+                     expected nanoseconds, and these look like another unit (of microseconds, \
+                     multiply by 1000)",
+                    interval_s * 1e6
+                )));
+            }
+            if interval_s > INTERVAL_S_MAX {
+                self.doubts.push(format!(
+                    "the readings are {interval_s:.3} s apart: turns are followed only with more \
+                     than {:.0} a second",
+                    INTERVAL_S_MAX.recip()
+                ));
+            }
+        }
+        let rates = self.readings.iter().map(|one| one.rate_in_body.norm());
+        let forces = self.readings.iter();
+        let force = median(forces.map(|one| one.specific_force_in_body.norm())).unwrap_or(0.0);
+        if FORCE.contains(&median(rates.clone()).unwrap_or(0.0)) && force < FORCE.start {
+            return Err(Refused::whole(
+                "the gyroscope tells what an accelerometer does, and the other way: expected \
+                 columns ns,wx,wy,wz,ax,ay,az",
+            ));
+        }
+        let fast_count = rates.clone().filter(|rate| *rate > RATE_MAX).count();
+        if fast_count as f64 > FAST_SHARE_MAX * self.readings.len() as f64 {
+            return Err(Refused::whole(format!(
+                "{fast_count} of {} readings tell turns faster than {RATE_MAX} rad/s, up to {:.0}: \
+                 they look like degrees per second; multiply them by π/180",
+                self.readings.len(),
+                rates.fold(0.0, f64::max)
+            )));
+        }
+        if !FORCE.contains(&force) {
+            let unit = if (0.5..1.5).contains(&force) {
+                " (it looks like g: multiply by 9.81)"
+            } else {
+                ""
+            };
+            self.doubts.push(format!(
+                "the accelerometer tells {force:.2} m/s² most of the time, expected about \
+                 9.8{unit}: where up is will not be known"
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// Where the axes of a file's sensor are told, if they are.
+pub fn imu_mounting(path: &Path) -> PathBuf {
+    path.with_file_name("sensor.yaml")
 }
 
 fn read_text(path: &Path) -> Result<String, FileError> {
@@ -72,9 +155,11 @@ fn parse(text: &str, body_from_sensor: &Matrix3<f64>) -> Result<ImuReadings, Ref
         }
     }
     if found.readings.is_empty() {
-        return Err(Refused::whole(
-            "no readings; expected lines of ns,wx,wy,wz,ax,ay,az",
-        ));
+        let expected = "no readings; expected lines of ns,wx,wy,wz,ax,ay,az";
+        return Err(match found.first_skipped {
+            None => Refused::whole(expected),
+            Some((line, reason)) => Refused::at(line, format!("{expected}; {reason}")),
+        });
     }
     Ok(found)
 }
@@ -82,9 +167,13 @@ fn parse(text: &str, body_from_sensor: &Matrix3<f64>) -> Result<ImuReadings, Ref
 fn parse_line(line: &str, body_from_sensor: &Matrix3<f64>) -> Result<ImuReading, String> {
     let mut fields = line.split(',').map(str::trim);
     let stamp = fields.next().unwrap_or_default();
-    let nanoseconds = stamp
-        .parse()
-        .map_err(|_| format!("expected a time in nanoseconds, got `{stamp}`"))?;
+    let nanoseconds = stamp.parse().map_err(|_| {
+        let hint = match stamp.parse::<f64>() {
+            Ok(_) => " (of seconds, multiply by 10⁹ and leave no fraction)",
+            Err(_) => "",
+        };
+        format!("expected a time in whole nanoseconds, got `{stamp}`{hint}")
+    })?;
     let mut numbers = [0.0_f64; 6];
     for number in &mut numbers {
         let field = fields.next().ok_or("expected seven fields")?;
@@ -188,5 +277,65 @@ mod tests {
             assert!(message.starts_with(expected), "{message}");
             assert!(message.ends_with("sensor.yaml"), "{message}");
         }
+    }
+
+    /// Readings of a hand that carries a camera about, 200 a second.
+    fn carried(write: impl Fn(i64, [f64; 3], [f64; 3]) -> String) -> String {
+        let line = |idx: i64| {
+            let phase = idx as f64 * 0.02;
+            let rate = [phase.sin(), 0.7 * phase.cos(), 0.2].map(|rate| 1.5 * rate);
+            write(idx * 5_000_000, rate, [0.3 * phase.sin(), 0.1, 9.8])
+        };
+        (0..1000).map(line).collect()
+    }
+
+    fn line(nanoseconds: i64, [wx, wy, wz]: [f64; 3], [ax, ay, az]: [f64; 3]) -> String {
+        format!("{nanoseconds},{wx},{wy},{wz},{ax},{ay},{az}\n")
+    }
+
+    #[test]
+    fn units_that_are_not_those_that_are_expected_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("data.csv");
+        let read = |text: String| {
+            fs::write(&path, text).unwrap();
+            read_imu(&path)
+        };
+        let refused = |text: String, expected: &str| {
+            let error = read(text).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        };
+        let doubts = |text: String| read(text).unwrap().doubts;
+        assert_eq!(doubts(carried(line)), Vec::<String>::new());
+        let degrees = |at, rate: [f64; 3], force| line(at, rate.map(f64::to_degrees), force);
+        refused(carried(degrees), "they look like degrees per second");
+        let swapped = |at, rate, force| line(at, force, rate);
+        refused(carried(swapped), "expected columns ns,wx,wy,wz,ax,ay,az");
+        let microseconds = |at: i64, rate, force| line(at / 1000, rate, force);
+        refused(carried(microseconds), "of microseconds, multiply by 1000");
+        let seconds = |at: i64, rate, force| {
+            let text = line(at, rate, force);
+            let (_, rest) = text.split_once(',').unwrap();
+            format!("{:.6},{rest}", at as f64 * 1e-9)
+        };
+        refused(carried(seconds), "of seconds, multiply by 10⁹");
+        let in_g = |at, rate, force: [f64; 3]| line(at, rate, force.map(|one| one / 9.81));
+        let told = doubts(carried(in_g));
+        assert!(
+            told.len() == 1 && told[0].contains("it looks like g"),
+            "{told:?}"
+        );
+        let slow = |at: i64, rate, force| line(at * 20, rate, force);
+        let told = doubts(carried(slow));
+        assert!(
+            told[0].starts_with("the readings are 0.100 s apart"),
+            "{told:?}"
+        );
+        // A few errors of the sensor are no unit.
+        let spike = |at: i64, rate: [f64; 3], force| {
+            let is_spike = at % 500_000_000 == 0;
+            line(at, rate.map(|one| if is_spike { 60.0 } else { one }), force)
+        };
+        assert_eq!(doubts(carried(spike)), Vec::<String>::new());
     }
 }

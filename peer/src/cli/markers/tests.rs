@@ -124,6 +124,16 @@ fn annotated_images_never_replace_what_is_read() {
         .join(folder.path().file_name().unwrap());
     let error = run(&arguments(folder.path(), Some(annotate))).unwrap_err();
     assert!(error.is::<UsageError>(), "{error}");
+
+    // A recording's images lie beside its list.
+    let images = folder.path().join("rgb");
+    std::fs::create_dir(&images).unwrap();
+    std::fs::write(images.join("0.png"), "kept").unwrap();
+    std::fs::write(folder.path().join("rgb.txt"), "0.5 rgb/0.png\n").unwrap();
+    let error = run(&arguments(folder.path(), Some(images.clone()))).unwrap_err();
+    assert!(error.is::<files::Clash>(), "{error}");
+    let kept = std::fs::read_to_string(images.join("0.png")).unwrap();
+    assert_eq!(kept, "kept");
 }
 
 #[test]

@@ -193,6 +193,15 @@ fn the_picture_is_checked_before_the_work() {
     };
     let error = refused("p.jpg");
     assert!(error.is::<UsageError>(), "{error}");
+    let cloud = folder.path().join("cloud.png");
+    let same = RegisterArguments {
+        plot: Some(folder.path().join("./cloud.png")),
+        ..arguments(&cloud, "none.ply")
+    };
+    std::fs::write(&cloud, "points").unwrap();
+    let error = run(&same).unwrap_err();
+    assert!(error.is::<files::Clash>(), "{error}");
+    assert_eq!(std::fs::read_to_string(&cloud).unwrap(), "points");
     std::fs::create_dir(folder.path().join("p.svg")).unwrap();
     let error = refused("p.svg").to_string();
     assert!(error.starts_with("this is a folder"), "{error}");

@@ -52,3 +52,38 @@ fn values_without_a_recording_before_them_are_refused() {
         "each --anchor needs --fixes",
     );
 }
+
+/// Goal: a file of an earlier flight that is read is not written. Method: its trajectory as fixes.
+#[test]
+fn what_a_flight_reads_it_does_not_overwrite() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::write(
+        path("0.pgm"),
+        [b"P5 32 24 255\n", &[9; 32 * 24][..]].concat(),
+    )
+    .unwrap();
+    std::fs::write(path("rgb.txt"), "0.5 0.pgm\n").unwrap();
+    let camera = "intrinsics: [30, 30, 16, 12]\nresolution: [32, 24]\n";
+    std::fs::write(path("camera.yaml"), camera).unwrap();
+    std::fs::write(path("anchor1.tum"), "0.5 0 0 0 0 0 0 1\n").unwrap();
+    let words = [
+        "team",
+        "--anchor",
+        folder.path().to_str().unwrap(),
+        "--fixes",
+        path("./anchor1.tum").to_str().unwrap(),
+        "--out",
+        folder.path().to_str().unwrap(),
+    ]
+    .map(str::to_owned);
+    let command = TeamArguments::augment_args(clap::Command::new("team"));
+    let order = command.try_get_matches_from(words).unwrap();
+    let arguments = TeamArguments::from_arg_matches(&order).unwrap();
+    let error = run(&arguments, &order).unwrap_err();
+    assert!(error.is::<crate::files::Clash>(), "{error}");
+    assert!(
+        error.to_string().contains("would overwrite the fixes"),
+        "{error}"
+    );
+}
