@@ -2,24 +2,28 @@
 
 mod inertia;
 mod intake;
+mod maps;
+mod timing;
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::Instant;
 
 use camera::CameraModel;
 use geometry::Map;
 use nalgebra::{Unit, Vector3};
 use serde::Serialize;
-use vslam::{Background, MapId, TrackingState, Vslam, VslamMap, VslamSettings};
+use vslam::{Background, GyroState, MapId, TrackingState, Vslam, VslamMap, VslamSettings};
 
 use super::output::{self, Progress};
 use super::{Exit, UsageError};
 use crate::dataset::{
     Camera, Dataset, DatasetArgument, DatasetCamera, FrameRange, RecordingOptions,
 };
-use crate::files::{self, PointCloud, StampedPose};
+use crate::files::{self, NamedFile, PointCloud, StampedPose};
 use inertia::Readings;
 use intake::{Arrival, Intake, IntakeCounts, Pace};
+use maps::{MapFrames, frames_by_map};
+use timing::{Times, Timing};
 
 #[derive(clap::Args)]
 pub struct SlamArguments {
@@ -27,7 +31,7 @@ pub struct SlamArguments {
     /// or a video.
     pub dataset: DatasetArgument,
     /// Instead of the calibration that lies beside the images, or in the MCAP file: EuRoC, Kalibr,
-    /// ROS camera_info or OpenCV.
+    /// ROS camera_info, OpenCV or KITTI.
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
     /// The images of an MCAP file, where it has several kinds.
@@ -78,11 +82,23 @@ struct SlamSummary {
     keyframes: usize,
     points: usize,
     lost: usize,
-    /// From a decoded image to its pose; at real time from when the image is due, so that what it
-    /// waits for mapping counts.
+    /// From a decoded image to its pose; at real time from when the image is due, and all of it,
+    /// else without what is in `ms_waiting`.
     ms_per_frame_p50: Option<f64>,
     ms_per_frame_p99: Option<f64>,
+    /// How long a frame that was looked at ahead, by another thread, waited for the map to grow by
+    /// the ones before it.
+    ms_waiting_p50: Option<f64>,
+    ms_waiting_p99: Option<f64>,
     peak_rss_bytes: Option<u64>,
+    /// Those that were never joined, the one of the trajectory first.
+    maps: Vec<MapFrames>,
+    /// Frames that had a pose when they came, in a map that was given up or never joined to that
+    /// of the trajectory.
+    live_left_out: usize,
+    /// With readings of one: `untested`, `confirmed` or `refuted` by the pictures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gyroscope: Option<&'static str>,
     /// Away from the ground, in the frame of the trajectory, if an accelerometer told.
     #[serde(skip_serializing_if = "Option::is_none")]
     up_in_map: Option<[f64; 3]>,
@@ -90,7 +106,7 @@ struct SlamSummary {
 
 pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     let chosen = chosen_frames(arguments)?;
-    check_destinations(arguments)?;
+    let results = check_destinations(arguments)?;
     let options = RecordingOptions {
         calibration: arguments.calibration.clone(),
         topic: arguments.topic.clone(),
@@ -104,6 +120,8 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
         Some(named) => Readings::open(named, &chosen.path, &dataset)?,
         None => Readings::default(),
     };
+    let inputs = dataset.files().chain(other_inputs(arguments, &readings));
+    files::check_distinct(&results, inputs)?;
     let camera = if arguments.threads > 1 {
         DatasetCamera::decoding_ahead(dataset)
     } else {
@@ -136,11 +154,14 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
     } else {
         print_summary(&summary);
     }
+    if let Some(warning) = maps::warning(&summary.maps, summary.live_left_out, &arguments.out) {
+        output::diagnose(&format!("warning: {warning}"));
+    }
     Ok(drive.exit(frame_count, tracked))
 }
 
 /// Looks where results will go before the work that makes them.
-fn check_destinations(arguments: &SlamArguments) -> anyhow::Result<()> {
+fn check_destinations(arguments: &SlamArguments) -> anyhow::Result<Vec<NamedFile>> {
     if let Some(path) = &arguments.map {
         files::check_cloud_name(path).map_err(UsageError::because)?;
     }
@@ -149,18 +170,22 @@ fn check_destinations(arguments: &SlamArguments) -> anyhow::Result<()> {
         ("--map", arguments.map.as_ref()),
         ("--save-map", arguments.save_map.as_ref()),
     ];
-    for (idx, (name, path)) in named.iter().enumerate() {
-        let Some(path) = path else {
-            continue;
-        };
-        let twin = named[..idx].iter().find(|(_, other)| *other == Some(path));
-        if let Some((other, _)) = twin {
-            let message = format!("{name} and {other} name the same file");
-            return Err(UsageError(message).into());
-        }
-        files::check_destination(path)?;
+    let results = named.into_iter();
+    let results: Vec<NamedFile> = results
+        .filter_map(|(name, path)| Some(NamedFile::new(name, path?)))
+        .collect();
+    for result in &results {
+        files::check_destination(&result.path)?;
     }
-    Ok(())
+    files::check_distinct(&results, [])?;
+    Ok(results)
+}
+
+/// What is read beside the recording.
+fn other_inputs(arguments: &SlamArguments, readings: &Readings) -> impl Iterator<Item = NamedFile> {
+    let map = arguments.continued.iter();
+    map.map(|path| NamedFile::new("the map that is continued", path))
+        .chain(readings.files().iter().cloned())
 }
 
 /// A machine without a map, or with the one that is to be continued.
@@ -202,9 +227,9 @@ struct Plan {
 struct Drive {
     vslam: Vslam,
     readings: Readings,
-    /// From each decoded image to its pose.
-    processing: Vec<Duration>,
-    tracked_live: usize,
+    times: Times,
+    /// Numbers of the frames that had a pose when they came.
+    live: Vec<u64>,
     lost: usize,
     intake: IntakeCounts,
     /// What should have been in the recording.
@@ -218,8 +243,8 @@ impl Drive {
         Self {
             vslam,
             readings,
-            processing: Vec::new(),
-            tracked_live: 0,
+            times: Times::default(),
+            live: Vec::new(),
             lost: 0,
             intake: IntakeCounts::default(),
             losses: Vec::new(),
@@ -228,6 +253,7 @@ impl Drive {
     }
 
     fn run_through(&mut self, camera: impl Camera, plan: Plan, progress: &Progress) {
+        self.times.is_ahead = plan.thread_count > 1 && plan.pace.is_none();
         let intake = Intake::new(camera, self.vslam.front_end(), plan.pace, progress);
         self.intake = if plan.thread_count > 1 {
             intake.run_ahead(|arrival| self.take(arrival))
@@ -239,9 +265,17 @@ impl Drive {
     fn take(&mut self, arrival: Arrival) {
         let captured_at = arrival.frame.captured_at();
         self.readings.give_until(captured_at, &mut self.vslam);
+        let taken_at = Instant::now();
         let report = self.vslam.track(arrival.frame);
-        self.processing.push(arrival.came_at.elapsed());
-        self.tracked_live += usize::from(report.map_from_camera.is_some());
+        self.times.push(&Timing {
+            came_at: arrival.came_at,
+            found_at: arrival.found_at,
+            taken_at,
+            posed_at: Instant::now(),
+        });
+        if report.map_from_camera.is_some() {
+            self.live.push(report.frame_idx);
+        }
         self.lost += usize::from(matches!(report.state, TrackingState::Lost { .. }));
         if report.map_from_camera.is_none() {
             self.untracked = Some(report.state);
@@ -258,19 +292,32 @@ impl Drive {
 
     fn summarise(&self, frame_count: usize, tracked: usize) -> SlamSummary {
         let map = self.vslam.largest_map();
-        let mut sorted = self.processing.clone();
-        sorted.sort();
+        let trajectory = self.vslam.trajectory();
+        let kept = |frame_idx: &&u64| {
+            let entry = &trajectory[**frame_idx as usize];
+            entry.map_id == map.id() && entry.map_from_camera.is_some()
+        };
+        let listened = self.readings.is_given();
         SlamSummary {
             frames: frame_count,
             tracked,
-            tracked_live: self.tracked_live,
+            tracked_live: self.live.len(),
             dropped: self.intake.dropped,
             keyframes: map.keyframe_count(),
             points: map.point_count(),
             lost: self.lost,
-            ms_per_frame_p50: percentile_ms(&sorted, 0.50),
-            ms_per_frame_p99: percentile_ms(&sorted, 0.99),
+            ms_per_frame_p50: self.times.per_frame_ms(0.50),
+            ms_per_frame_p99: self.times.per_frame_ms(0.99),
+            ms_waiting_p50: self.times.waiting_ms(0.50),
+            ms_waiting_p99: self.times.waiting_ms(0.99),
             peak_rss_bytes: peak_rss_bytes(),
+            maps: frames_by_map(&trajectory, map.id()),
+            live_left_out: self.live.len() - self.live.iter().filter(kept).count(),
+            gyroscope: listened.then(|| match self.vslam.gyro_state() {
+                GyroState::Untested => "untested",
+                GyroState::Confirmed => "confirmed",
+                GyroState::Refuted(_) => "refuted",
+            }),
             up_in_map: self.up_in_map().map(|up| (*up).into()),
         }
     }
@@ -293,6 +340,19 @@ impl Drive {
                 skipped.count, skipped.first
             ));
         }
+        for doubt in &self.readings.doubts {
+            output::diagnose(&format!("warning: {doubt}"));
+        }
+        let refuted = match self.vslam.gyro_state() {
+            GyroState::Refuted(fault) => Some(fault),
+            GyroState::Untested | GyroState::Confirmed => None,
+        };
+        if let Some(fault) = refuted {
+            output::diagnose(&format!(
+                "warning: the pictures contradict the gyroscope of --imu, so it was left alone: \
+                 {fault}"
+            ));
+        }
         if tracked == 0 {
             let reason = self.untracked.map_or_else(
                 || "no image came to be looked at".to_owned(),
@@ -303,7 +363,8 @@ impl Drive {
             ));
             return Exit::Refused;
         }
-        let lossy = !self.losses.is_empty() || self.readings.skipped.is_some();
+        let without_readings = self.readings.skipped.is_some() || refuted.is_some();
+        let lossy = !self.losses.is_empty() || without_readings;
         if self.intake.first_unreadable.is_some() || lossy {
             Exit::DoneWithLoss
         } else {
@@ -337,13 +398,6 @@ fn map_points(map: &VslamMap) -> PointCloud {
     }
 }
 
-/// The nearest-rank percentile.
-fn percentile_ms(sorted: &[Duration], share: f64) -> Option<f64> {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    let duration = sorted.get(rank.saturating_sub(1))?;
-    Some(duration.as_secs_f64() * 1e3)
-}
-
 /// The most memory that this process ever held, where the system tells.
 fn peak_rss_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -373,6 +427,14 @@ fn print_summary(summary: &SlamSummary) {
         output::print_line(&format!(
             "{p50:.1} ms per frame, {p99:.1} ms at the 99th percentile"
         ));
+    }
+    if let (Some(p50), Some(p99)) = (summary.ms_waiting_p50, summary.ms_waiting_p99) {
+        output::print_line(&format!(
+            "{p50:.1} ms waited for the map besides, {p99:.1} ms at the 99th percentile"
+        ));
+    }
+    if let Some(state) = summary.gyroscope {
+        output::print_line(&format!("gyroscope: {state}"));
     }
     if let Some([x, y, z]) = summary.up_in_map {
         output::print_line(&format!("up in the map: {x:.3} {y:.3} {z:.3}"));

@@ -8,12 +8,15 @@ use geometry::Timestamp;
 use vslam::{ImuSample, Vslam};
 
 use crate::dataset::Dataset;
-use crate::files::{self, ImuReadings};
+use crate::files::{self, ImuReadings, NamedFile};
 
 /// Readings in the camera's axes that were not given yet.
 #[derive(Default)]
 pub struct Readings {
     samples: VecDeque<ImuSample>,
+    files: Vec<NamedFile>,
+    /// What is odd about them, a sentence each.
+    pub doubts: Vec<String>,
     pub skipped: Option<Skipped>,
 }
 
@@ -44,11 +47,30 @@ impl Readings {
             .collect();
         Ok(Self {
             samples,
+            doubts: found
+                .doubts
+                .iter()
+                .map(|doubt| format!("{doubt}: {}", path.display()))
+                .collect(),
+            files: vec![
+                NamedFile::new("the readings", &path),
+                NamedFile::new("the sensor's place", files::imu_mounting(&path)),
+            ],
             skipped: found.first_skipped.map(|(line, reason)| Skipped {
                 count: found.skipped_count,
                 first: format!("{reason} at {}:{line}", path.display()),
             }),
         })
+    }
+
+    /// Whether there are any.
+    pub fn is_given(&self) -> bool {
+        !self.files.is_empty()
+    }
+
+    /// What was read.
+    pub fn files(&self) -> &[NamedFile] {
+        &self.files
     }
 
     /// Gives what was read up to a frame.
@@ -94,9 +116,21 @@ fn check_overlap(found: &ImuReadings, dataset: &Dataset, path: &Path) -> anyhow:
     if let (Some((read_from, read_to)), Some((seen_from, seen_to))) = (read, seen)
         && (read_from > seen_to || read_to < seen_from)
     {
+        let units = [
+            (1e9, "seconds"),
+            (1e6, "milliseconds"),
+            (1e3, "microseconds"),
+        ];
+        let fitting = units.iter().find(|(factor, _)| {
+            let scaled = |at: Timestamp| at.seconds() * factor;
+            scaled(read_from) <= seen_to.seconds() && scaled(read_to) >= seen_from.seconds()
+        });
+        let hint = fitting.map_or_else(String::new, |(factor, unit)| {
+            format!(" (its stamps look like {unit}: multiply them by {factor:.0})")
+        });
         bail!(
             "the readings from {read_from} to {read_to} s lie outside the recording from \
-             {seen_from} to {seen_to} s: {}",
+             {seen_from} to {seen_to} s{hint}: {}",
             path.display()
         );
     }

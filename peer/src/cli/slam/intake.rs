@@ -27,6 +27,8 @@ pub struct Arrival {
     pub frame: ExtractedFrame,
     /// When its image was there: at real time when it was due, else when it was taken up.
     pub came_at: Instant,
+    /// When its keypoints were found; from then on it waits for the map.
+    pub found_at: Instant,
 }
 
 /// What was taken in, and what was not.
@@ -117,9 +119,11 @@ impl<'a, C: Camera> Intake<'a, C> {
                 self.counts.dropped += 1;
                 continue;
             };
+            let frame = self.front_end.extract(&frame.image, frame.captured_at);
             return Some(Arrival {
-                frame: self.front_end.extract(&frame.image, frame.captured_at),
+                frame,
                 came_at,
+                found_at: Instant::now(),
             });
         }
     }

@@ -1,21 +1,12 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::Duration;
 
 use geometry::Timestamp;
 use vslam::ImuSample;
 
 use super::*;
 use crate::dataset::{CameraEvent, Frame};
-
-#[test]
-fn percentiles_are_nearest_ranks() {
-    let sorted: Vec<Duration> = (1..=100).map(Duration::from_millis).collect();
-    assert_eq!(percentile_ms(&sorted, 0.50), Some(50.0));
-    assert_eq!(percentile_ms(&sorted, 0.99), Some(99.0));
-    assert_eq!(percentile_ms(&sorted[..1], 0.99), Some(1.0));
-    assert_eq!(percentile_ms(&[], 0.5), None);
-}
 
 #[test]
 fn summary_has_the_names_of_the_contract() {
@@ -32,9 +23,13 @@ fn summary_has_the_names_of_the_contract() {
         "dropped",
         "frames",
         "keyframes",
+        "live_left_out",
         "lost",
+        "maps",
         "ms_per_frame_p50",
         "ms_per_frame_p99",
+        "ms_waiting_p50",
+        "ms_waiting_p99",
         "peak_rss_bytes",
         "points",
         "tracked",
@@ -56,15 +51,20 @@ fn grey_recording(folder: &std::path::Path, frame_count: usize) {
     let mut list = String::new();
     for idx in 0..frame_count {
         list += &format!("0.{idx:03} {idx}.png\n");
-        let file = std::fs::File::create(folder.join(format!("{idx}.png"))).unwrap();
-        let mut encoder = png::Encoder::new(file, 32, 24);
-        encoder.set_color(png::ColorType::Grayscale);
-        let mut writer = encoder.write_header().unwrap();
-        writer.write_image_data(&[90; 32 * 24]).unwrap();
+        let image = camera::Image::filled(32, 24, 90);
+        write_grey(&folder.join(format!("{idx}.png")), &image);
     }
     std::fs::write(folder.join("rgb.txt"), list).unwrap();
     let camera = "intrinsics: [30, 30, 16, 12]\nresolution: [32, 24]\n";
     std::fs::write(folder.join("camera.yaml"), camera).unwrap();
+}
+
+fn write_grey(path: &std::path::Path, image: &camera::Image) {
+    let file = std::fs::File::create(path).unwrap();
+    let mut encoder = png::Encoder::new(file, image.width() as u32, image.height() as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(image.pixels()).unwrap();
 }
 
 fn arguments(folder: &std::path::Path) -> SlamArguments {
@@ -104,7 +104,7 @@ fn a_damaged_image_is_loss_and_not_failure() {
     let progress = Progress::start("slam", 5);
     drive.run_through(DatasetCamera::inline(dataset), Plan::default(), &progress);
     assert_eq!(
-        (drive.intake.unreadable_count, drive.processing.len()),
+        (drive.intake.unreadable_count, drive.times.frame_count()),
         (1, 4)
     );
     assert_eq!(drive.exit(5, 4), Exit::DoneWithLoss);
@@ -149,7 +149,10 @@ fn where_results_go_is_checked_before_the_work() {
     assert!(error.starts_with("this is a folder"), "{error}");
     let error = refused("file/out.tum", "map.ply").to_string();
     assert!(error.starts_with("this is a file"), "{error}");
-    assert!(refused("map.ply", "map.ply").is::<UsageError>());
+    for out in ["map.ply", "./map.ply", "new/../map.ply"] {
+        let error = refused(out, "map.ply");
+        assert!(error.is::<files::Clash>(), "{error}");
+    }
     let error = refused("out.tum", "map.las");
     assert!(error.is::<UsageError>(), "{error}");
     assert!(error.to_string().contains(".ply, .pcd, .xyz"), "{error}");
@@ -166,7 +169,65 @@ fn a_map_that_is_none_is_refused_before_the_work() {
     arguments.continued = None;
     arguments.save_map = Some(arguments.out.clone());
     let error = run(&arguments).unwrap_err();
-    assert!(error.is::<UsageError>(), "{error}");
+    assert!(error.is::<files::Clash>(), "{error}");
+}
+
+#[test]
+fn no_result_replaces_what_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    grey_recording(folder.path(), 5);
+    let path = |name: &str| folder.path().join(name);
+    std::fs::write(path("imu.csv"), "0,0,0,0,9.8,0,0\n").unwrap();
+    std::fs::write(path("sensor.yaml"), "sensor_type: imu\n").unwrap();
+    let rendered = rendered_frames(30);
+    let camera = &rendered.calibration.camera;
+    let mut drive = Drive::new(
+        Vslam::new(camera.clone(), VslamSettings::default()),
+        Readings::default(),
+    );
+    drive.run_through(
+        rendered.clone(),
+        Plan::default(),
+        &Progress::start("slam", 1),
+    );
+    files::write_slam_map(&path("old.map"), drive.vslam.largest_map(), camera).unwrap();
+    let check = |out: &str, expected: &str, change: &dyn Fn(&mut SlamArguments)| {
+        let before = std::fs::read(path(out)).unwrap();
+        let mut arguments = arguments(folder.path());
+        arguments.out = path(out);
+        change(&mut arguments);
+        let error = run(&arguments).unwrap_err();
+        assert!(error.is::<files::Clash>(), "{error}");
+        let error = error.to_string();
+        assert!(
+            error.contains(&format!("would overwrite {expected}")),
+            "{error}"
+        );
+        assert_eq!(std::fs::read(path(out)).unwrap(), before);
+    };
+    check("rgb.txt", "the recording's list of images", &|_| {});
+    check("./camera.yaml", "the calibration", &|_| {});
+    check("2.png", "an image of the recording", &|_| {});
+    let with_readings = |arguments: &mut SlamArguments| arguments.imu = Some(path("imu.csv"));
+    check("imu.csv", "the readings", &with_readings);
+    check("sensor.yaml", "the sensor's place", &with_readings);
+    check("rgb.txt", "the recording's list of images", &|arguments| {
+        arguments.save_map = Some(std::mem::replace(&mut arguments.out, path("a.tum")));
+    });
+    // A map is read only with the camera that made it.
+    let text = crate::demo::sensor_yaml(camera, &rendered.calibration.body_from_camera);
+    std::fs::write(path("lab.yaml"), text).unwrap();
+    let image = &rendered.frames[0].image;
+    for idx in 0..5 {
+        write_grey(&path(&format!("{idx}.png")), image);
+    }
+    check("old.map", "the map that is continued", &|arguments| {
+        arguments.calibration = Some(path("lab.yaml"));
+        arguments.continued = Some(path("old.map"));
+    });
+    check("lab.yaml", "the calibration", &|arguments| {
+        arguments.calibration = Some(path("lab.yaml"));
+    });
 }
 
 #[test]
@@ -275,7 +336,7 @@ fn at_real_time_late_frames_are_dropped_and_early_ones_waited_for() {
         };
         drive.run_through(DatasetCamera::inline(dataset), plan, &progress);
         assert!(started.elapsed() >= Duration::from_millis(200));
-        assert_eq!((drive.intake.dropped, drive.processing.len()), (1, 2));
+        assert_eq!((drive.intake.dropped, drive.times.frame_count()), (1, 2));
     }
 }
 
@@ -293,7 +354,7 @@ fn two_threads_give_the_trajectory_of_one() {
             pace: None,
         };
         drive.run_through(rendered.clone(), plan, &Progress::start("slam", 70));
-        assert_eq!(drive.processing.len(), 70);
+        assert_eq!(drive.times.frame_count(), 70);
         drive.vslam.trajectory()
     });
     let tracked = trajectories[0]
