@@ -1,6 +1,7 @@
 //! What happens to the map when a frame becomes a keyframe.
 
 mod adjust;
+mod bridge;
 mod cull_keyframes;
 mod cull_points;
 mod directions;
@@ -92,7 +93,7 @@ impl Mapper {
         let directions = directions::add_directions(optics, map, id);
         self.recent.extend(directions);
         update_neighbours(map, id);
-        let (window, shift) = adjust::adjust_local(map, id, &mut self.workspace);
+        let (window, shift) = self.adjust(map, id);
         self.settling.note(map, id, shift);
         directions::settle_directions(map, &window);
         cull_keyframes::cull(map, id);
@@ -102,6 +103,13 @@ impl Mapper {
             keyframe: id,
             settled,
         }
+    }
+
+    /// Adjusts the map around the newest keyframe; returns the keyframes that could move, and how
+    /// far the newest would have.
+    fn adjust(&mut self, map: &mut VslamMap, newest: KeyframeId) -> (Vec<KeyframeId>, f64) {
+        let bridged = bridge::bridge(map, newest, &mut self.workspace);
+        bridged.unwrap_or_else(|| adjust::adjust_local(map, newest, &mut self.workspace))
     }
 
     /// Takes the keyframes that the last local adjustment no longer moved, or that are old.

@@ -112,7 +112,7 @@ impl GlobalAdjustment {
 
     /// How keyframes move; those that are newer move with their parent.
     fn moves(&self, map: &VslamMap) -> Moves {
-        let stretches = stretches(&self.before, &self.problem);
+        let stretches = stretches(&self.before, &self.problem, |_| true);
         let poses = self.before.poses.iter().zip(&self.problem.poses);
         let solved = poses.zip(stretches).map(|((before, after), stretch)| {
             let after = after.camera_from_map.inverse();

@@ -9,12 +9,12 @@ use crate::bundle::{
 };
 use crate::held::is_placed;
 use crate::triangulation::{Sighting, parallax_rad};
-use crate::{KeyframeId, MapPoint, PointId, VslamMap};
+use crate::{KeyframeId, MapPoint, PointId, View, VslamMap};
 
 /// Keyframes that a local adjustment moves, at most.
 const WINDOW_MAX: usize = 12;
 /// Keyframes that hold its border, at most; those that see most come first.
-const BORDER_MAX: usize = 16;
+pub(super) const BORDER_MAX: usize = 16;
 /// Fewer points do not tell by how much the map around a keyframe was stretched.
 const STRETCH_POINTS_MIN: usize = 10;
 /// A keyframe joins the window if it shares this many points.
@@ -30,9 +30,27 @@ pub(crate) struct Selection {
     pub(crate) keyframes: Vec<KeyframeId>,
     pub(crate) points: Vec<PointId>,
     fixed: Vec<bool>,
+    /// Where these are was not measured: they cannot move, and what they see does not count.
+    unplaced: Vec<bool>,
 }
 
 impl Selection {
+    /// These rows, in the order of keyframes and points; `fixed` and `unplaced` are asked of each
+    /// keyframe.
+    pub(super) fn new(
+        keyframes: Vec<KeyframeId>,
+        points: Vec<PointId>,
+        fixed: impl Fn(&KeyframeId) -> bool,
+        unplaced: impl Fn(&KeyframeId) -> bool,
+    ) -> Self {
+        Self {
+            fixed: keyframes.iter().map(fixed).collect(),
+            unplaced: keyframes.iter().map(unplaced).collect(),
+            keyframes,
+            points,
+        }
+    }
+
     /// Everything.
     pub(crate) fn all(map: &VslamMap) -> Self {
         let window: Vec<KeyframeId> = map.keyframes().map(crate::Keyframe::id).collect();
@@ -69,7 +87,7 @@ pub(crate) fn adjust_local(
     if let Some(held) = held {
         solved = held;
     }
-    apply(map, &selection, (&before, &views), solved);
+    apply(map, &selection, (&before, &views), &solved);
     (window, shift)
 }
 
@@ -96,7 +114,7 @@ fn hold(
     (price <= HELD_PRICE_MAX * seen.count() as f64).then_some(held)
 }
 
-const LOCAL: BundleSettings = BundleSettings {
+pub(super) const LOCAL: BundleSettings = BundleSettings {
     iteration_count_max: 40,
     // A match that is wrong by far pulls as hard as any, and where few points tell a turn from
     // a step a handful of them decides. Left out too late, the map has grown on what they said.
@@ -140,12 +158,8 @@ fn select(map: &VslamMap, window: &[KeyframeId]) -> Selection {
     if fixed_ids.is_empty() {
         fixed_ids.extend(keyframes.first());
     }
-    let fixed = keyframes.iter().map(|id| fixed_ids.contains(id)).collect();
-    Selection {
-        keyframes,
-        points,
-        fixed,
-    }
+    let unplaced = |id: &KeyframeId| map.keyframe(*id).is_some_and(|one| !is_placed(map, one));
+    Selection::new(keyframes, points, |id| fixed_ids.contains(id), unplaced)
 }
 
 fn run(
@@ -156,19 +170,24 @@ fn run(
 ) -> BundleReport {
     let (before, views) = problem(map, selection);
     let solved = Solved::of(&before, settings, workspace);
-    apply(map, selection, (&before, &views), solved)
+    apply(map, selection, (&before, &views), &solved);
+    solved.report
 }
 
 /// An adjusted problem.
-struct Solved {
-    problem: BundleProblem,
-    report: BundleReport,
+pub(super) struct Solved {
+    pub(super) problem: BundleProblem,
+    pub(super) report: BundleReport,
     /// By how much it was stretched to keep its scale.
     scale: f64,
 }
 
 impl Solved {
-    fn of(before: &BundleProblem, settings: &BundleSettings, workspace: &mut Workspace) -> Self {
+    pub(super) fn of(
+        before: &BundleProblem,
+        settings: &BundleSettings,
+        workspace: &mut Workspace,
+    ) -> Self {
         let mut problem = before.clone();
         let report = adjust(&mut problem, settings, workspace);
         let scale = keep_scale(before, &mut problem);
@@ -180,26 +199,28 @@ impl Solved {
     }
 
     /// How far a pose has moved.
-    fn shift(&self, before: &BundleProblem, pose_idx: usize) -> f64 {
+    pub(super) fn shift(&self, before: &BundleProblem, pose_idx: usize) -> f64 {
         let [from, to] = [before, &self.problem]
             .map(|one| *one.poses[pose_idx].camera_from_map.inverse().translation());
         (to - from).norm()
     }
 }
 
-/// Brings an adjustment into the map.
-fn apply(
+/// Brings an adjustment into the map; points of unknown range stay where they are.
+pub(super) fn apply(
     map: &mut VslamMap,
     selection: &Selection,
     (before, views): (&BundleProblem, &[ViewName]),
-    solved: Solved,
-) -> BundleReport {
+    solved: &Solved,
+) {
     let Solved {
         problem,
         report,
         scale,
     } = solved;
-    let stretches = stretches(before, &problem);
+    let ranged = |id: &PointId| map.point(*id).is_some_and(MapPoint::has_range);
+    let ranged: Vec<bool> = selection.points.iter().map(ranged).collect();
+    let stretches = stretches(before, problem, |point_idx| ranged[point_idx]);
     let poses = selection.keyframes.iter().zip(&problem.poses);
     for ((id, pose), stretch) in poses.zip(stretches) {
         if let Some(keyframe) = map.keyframe_mut(*id) {
@@ -207,21 +228,20 @@ fn apply(
             keyframe.unit *= stretch;
         }
     }
-    for (id, position) in selection.points.iter().zip(&problem.points) {
-        if let Some(point) = map.point_mut(*id) {
-            point.position_in_map = *position;
-        }
-    }
     for (&(point, keyframe), inlier) in views.iter().zip(&report.inliers) {
         if !inlier {
             map.unlink(point, keyframe);
         }
     }
-    for (id, covariance) in selection.points.iter().zip(&report.point_covariances) {
+    for (point_idx, id) in selection.points.iter().enumerate() {
+        let Some(point) = map.point_mut(*id).filter(|_| ranged[point_idx]) else {
+            continue;
+        };
+        point.position_in_map = problem.points[point_idx];
+        let covariance = report.point_covariances[point_idx];
         let covariance = covariance.map(|covariance| covariance * (scale * scale));
         renew_point(map, *id, covariance.as_ref());
     }
-    report
 }
 
 /// Where a single keyframe is fixed the scale is free, and the adjustment leaves it anywhere.
@@ -269,10 +289,18 @@ pub(crate) fn renew_point(map: &mut VslamMap, id: PointId, covariance: Option<&M
     map.refresh_point(id);
 }
 
-/// By how much the points that each keyframe sees moved away from it: the median of the ratios.
-pub(crate) fn stretches(before: &BundleProblem, after: &BundleProblem) -> Vec<f64> {
+/// By how much the points that each keyframe sees moved away from it: the median of the ratios of
+/// those that count.
+pub(crate) fn stretches(
+    before: &BundleProblem,
+    after: &BundleProblem,
+    counts: impl Fn(usize) -> bool,
+) -> Vec<f64> {
     let mut ratios: Vec<Vec<f64>> = vec![Vec::new(); before.poses.len()];
     for observation in &before.observations {
+        if !counts(observation.point_idx) {
+            continue;
+        }
         let (pose_idx, point_idx) = (observation.pose_idx, observation.point_idx);
         let depth = |problem: &BundleProblem| {
             (problem.poses[pose_idx].camera_from_map * problem.points[point_idx]).z
@@ -295,17 +323,15 @@ pub(crate) type ViewName = (PointId, KeyframeId);
 fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewName>) {
     let mut problem = BundleProblem::default();
     let mut views = Vec::new();
-    let mut placed = Vec::with_capacity(selection.keyframes.len());
-    for (id, &fixed) in selection.keyframes.iter().zip(&selection.fixed) {
+    let held = selection.fixed.iter().zip(&selection.unplaced);
+    for (id, (fixed, unplaced)) in selection.keyframes.iter().zip(held) {
         let keyframe = map
             .keyframe(*id)
             .expect("the selection holds the map's keyframes");
-        let is_placed = is_placed(map, keyframe);
         problem.poses.push(BundlePose {
             camera_from_map: keyframe.camera_from_map,
-            fixed: fixed || !is_placed,
+            fixed: *fixed || *unplaced,
         });
-        placed.push(is_placed);
     }
     for (point_idx, id) in selection.points.iter().enumerate() {
         let point = map
@@ -316,8 +342,7 @@ fn problem(map: &VslamMap, selection: &Selection) -> (BundleProblem, Vec<ViewNam
             let Ok(pose_idx) = selection.keyframes.binary_search(&view.keyframe) else {
                 continue;
             };
-            // It cannot move, and where it is was not measured.
-            if !placed[pose_idx] {
+            if selection.unplaced[pose_idx] {
                 continue;
             }
             let keyframe = map
@@ -342,22 +367,22 @@ fn update_parallax(map: &mut VslamMap, id: PointId) {
         return;
     };
     let chosen = point.views.first().into_iter().chain(point.views.last());
-    let sightings: Vec<Sighting> = chosen
-        .filter_map(|view| {
-            let keyframe = map.keyframe(view.keyframe)?;
-            let observation = &keyframe.observations[view.observation_idx as usize];
-            Some(Sighting {
-                camera_from_map: keyframe.camera_from_map,
-                position: observation.position,
-                sigma: observation.sigma,
-            })
-        })
-        .collect();
+    let sightings: Vec<Sighting> = chosen.filter_map(|view| sighting(map, view)).collect();
     let position: Vector3<f64> = point.position_in_map;
     let parallax = parallax_rad(&sightings, &position).max(point.parallax_rad);
     if let Some(point) = map.point_mut(id) {
         point.parallax_rad = parallax;
     }
+}
+
+pub(super) fn sighting(map: &VslamMap, view: &View) -> Option<Sighting> {
+    let keyframe = map.keyframe(view.keyframe)?;
+    let observation = &keyframe.observations[view.observation_idx as usize];
+    Some(Sighting {
+        camera_from_map: keyframe.camera_from_map,
+        position: observation.position,
+        sigma: observation.sigma,
+    })
 }
 
 #[cfg(test)]
