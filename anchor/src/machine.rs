@@ -172,7 +172,9 @@ impl Anchor {
             Event::MapRestarted { epoch_random } => self.restart(epoch_random),
         }
         if self.may_cut() {
-            let due = self.cutter.due(now, &self.settings.cut);
+            let mut cutter = std::mem::take(&mut self.cutter);
+            let due = cutter.due(now, &self.settings.cut, |id| self.is_placed(id));
+            self.cutter = cutter;
             effects.extend(due.into_iter().map(Effect::RequestKeyframe));
         }
         if self.is_fixed() && self.next_solve_at.is_none_or(|next| now >= next) {

@@ -121,6 +121,27 @@ pub(crate) fn judge(
             },
         });
     }
+    // Which points are the same is known then, and how near the others come says little of maps that
+    // hold other points of the same things.
+    let is_told = quality.likeness.is_some_and(|it| it.tells_the_place());
+    if !is_told {
+        judge_surfaces(source, target, icp, quality)?;
+    }
+    if !quality.weak_directions.is_empty() {
+        return Err(Refusal::WeakGeometry {
+            directions: quality.weak_directions.clone(),
+        });
+    }
+    Ok(())
+}
+
+/// Whether most of one cloud is near the other, on the same surfaces.
+fn judge_surfaces(
+    source: &ShapedCloud,
+    target: &ShapedCloud,
+    icp: &Icp,
+    quality: &Quality,
+) -> Result<(), Refusal> {
     let (more, less) = (
         quality.overlap_source.max(quality.overlap_target),
         quality.overlap_source.min(quality.overlap_target),
@@ -145,11 +166,6 @@ pub(crate) fn judge(
     if !normals_agree && !coincide {
         return Err(Refusal::SurfacesDisagree {
             normal_agreement: quality.normal_agreement,
-        });
-    }
-    if !quality.weak_directions.is_empty() {
-        return Err(Refusal::WeakGeometry {
-            directions: quality.weak_directions.clone(),
         });
     }
     Ok(())

@@ -10,7 +10,7 @@ use crate::alignment::{
 use crate::cloud::{Cloud, Descriptors, ShapedCloud};
 use crate::evidence::Clue;
 use crate::icp::{Icp, IcpSettings, iterate};
-use crate::likeness::{Likeness, Things, Vacancy};
+use crate::likeness::{Gates, Likeness, Things};
 use crate::search::{self, Found, middle_radius};
 
 /// Aligns `source` to `target`.
@@ -157,37 +157,37 @@ fn verdict(
 /// wrong ones that all else accepts to 0.6 and more.
 const SHAPE_CONTRAST_MAX: f64 = 0.55;
 
-/// Fewer that say whether two clouds are of one place may all be of one bush.
-const WITNESSES_MIN: usize = 50;
-
 /// The share of what both clouds show that looks alike in one place.
 const EXTENT_MIN: f64 = 0.4;
-/// Where it cannot be told how much of what looks otherwise is missing.
-const USUAL_VACANCY: f64 = 0.65;
-/// What is alike as evenly as this leaves no room for another place.
-const EVEN_EXTENT_MIN: f64 = 0.75;
-/// How much overlap, spread and vacancy weigh beside the extent: nearly what a logistic regression
-/// on rendered rooms gives them.
-const OVERLAP_WEIGHT: f64 = 2.0;
-const SPREAD_WEIGHT: f64 = 1.5;
-const VACANCY_WEIGHT: f64 = 3.0;
-/// What speaks for one place, less what speaks against it: of 81 pairs of rendered rooms of one
-/// plan that all else accepts, the best come to 0.83, and of common views from within 30° two in a
-/// hundred to less than this.
-const BALANCE_MIN: f64 = 1.0;
+/// How much overlap, presence and displacement weigh beside the extent: of round weights about
+/// those of a logistic regression, the ones that part rendered rooms of one plan best from common
+/// views.
+const OVERLAP_WEIGHT: f64 = 1.5;
+const PRESENCE_WEIGHT: f64 = 1.5;
+const DISPLACED_WEIGHT: f64 = 4.0;
+/// More of the correspondences, or wider apart, say no more.
+const CONSISTENCY_MAX: f64 = 0.8;
+/// What speaks for one place, less what speaks against it: of 648 pairs of rendered rooms of one
+/// plan the best come to 3.11, and of common views from within 30° two in a hundred to less than
+/// this.
+const BALANCE_MIN: f64 = 3.15;
 
 /// Whether two clouds are of one place: alike over much of it, with most of one cloud near the
-/// other, by correspondences from all over it, and with little missing.
+/// other, by most of the correspondences and from all over it, with corners where they should be
+/// and nothing displaced.
 ///
 /// Nothing more will come, so that the likelier counts.
 fn is_one_place(likeness: &Likeness, quality: &Quality) -> bool {
-    let Likeness { extent, sigma, .. } = *likeness;
+    let extent = likeness.extent;
     let overlap = quality.overlap_source.max(quality.overlap_target);
-    let spread = quality.evidence.map_or(1.0, |it| it.spread.min(1.0));
-    let vacancy = likeness.vacancy.unwrap_or(USUAL_VACANCY);
-    let balance = extent + sigma + OVERLAP_WEIGHT * overlap + SPREAD_WEIGHT * spread
-        - VACANCY_WEIGHT * vacancy;
-    extent >= EXTENT_MIN && (balance >= BALANCE_MIN || extent - sigma >= EVEN_EXTENT_MIN)
+    let consistency = quality.evidence.map_or(2.0 * CONSISTENCY_MAX, |it| {
+        let share = it.consistent_count as f64 / it.offered_count.max(1) as f64;
+        share.min(CONSISTENCY_MAX) + it.spread.min(CONSISTENCY_MAX)
+    });
+    let balance =
+        extent + OVERLAP_WEIGHT * overlap + PRESENCE_WEIGHT * likeness.presence + consistency
+            - DISPLACED_WEIGHT * likeness.displaced;
+    extent >= EXTENT_MIN && balance >= BALANCE_MIN
 }
 
 /// Asks more of an alignment for which only shapes speak.
@@ -201,7 +201,7 @@ fn judge_evidence(quality: &Quality) -> Result<(), Refusal> {
         });
     }
     match quality.likeness {
-        Some(likeness) if likeness.count >= WITNESSES_MIN && !is_one_place(&likeness, quality) => {
+        Some(likeness) if likeness.tells_the_place() && !is_one_place(&likeness, quality) => {
             Err(Refusal::AnotherPlace {
                 extent: likeness.extent,
             })
@@ -236,18 +236,11 @@ fn likeness(
     let reach = REACH * radius.min(middle_radius(&target.points));
     let ours = Things::new(&moved, of_source);
     let theirs = Things::new(&target.points, of_target);
-    let missed = [
-        ours.missed_in(&theirs, reach, BITS_MAX),
-        theirs.missed_in(&ours, reach, BITS_MAX),
-    ];
-    let likeness = Likeness::of([
-        ours.sought_in(&theirs, reach, BITS_MAX),
-        theirs.sought_in(&ours, reach, BITS_MAX),
-    ]);
-    Some(Likeness {
-        vacancy: Vacancy::ratio(missed),
-        ..likeness
-    })
+    let gates = Gates {
+        reach,
+        bits_max: BITS_MAX,
+    };
+    Some(Likeness::between([&ours, &theirs], gates, []))
 }
 
 /// An alignment of the clouds as one of the centred clouds.

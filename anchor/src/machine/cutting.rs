@@ -34,7 +34,8 @@ pub(super) struct Cutter {
 struct Waiting {
     keyframe: KeyframeId,
     inserted_at: Timestamp,
-    requested: bool,
+    /// When it was asked for, unless it came and could not be cut.
+    requested_at: Option<Timestamp>,
 }
 
 /// What a keyframe's chunks hold, to see whether it moved since.
@@ -53,7 +54,7 @@ impl Cutter {
         self.waiting.push_back(Waiting {
             keyframe: pose.id,
             inserted_at: now,
-            requested: false,
+            requested_at: None,
         });
     }
 
@@ -69,24 +70,40 @@ impl Cutter {
     }
 
     /// The keyframes that have waited long enough, each named once.
-    pub(super) fn due(&mut self, now: Timestamp, settings: &CutSettings) -> Vec<KeyframeId> {
+    ///
+    /// - `is_placed`: the others wait on, until somebody can say where they stand.
+    pub(super) fn due(
+        &mut self,
+        now: Timestamp,
+        settings: &CutSettings,
+        is_placed: impl Fn(KeyframeId) -> bool,
+    ) -> Vec<KeyframeId> {
         let newer_count = self.waiting.len();
         let mut due = Vec::new();
         for (idx, waiting) in self.waiting.iter_mut().enumerate() {
             let old = now - waiting.inserted_at >= settings.delay_max_s;
             let passed = newer_count - 1 - idx >= settings.keyframe_count_max;
-            if (old || passed) && !waiting.requested {
-                waiting.requested = true;
+            let is_wanted = (old || passed) && is_placed(waiting.keyframe);
+            if is_wanted && waiting.requested_at.is_none() {
+                waiting.requested_at = Some(now);
                 due.push(waiting.keyframe);
             }
         }
         // What was asked for and never came was culled.
-        while self.waiting.front().is_some_and(|first| {
-            first.requested && now - first.inserted_at > 2.0 * settings.delay_max_s
-        }) {
-            self.waiting.pop_front();
-        }
+        self.waiting.retain(|waiting| {
+            let requested_at = waiting.requested_at;
+            requested_at.is_none_or(|then| now - then <= settings.delay_max_s)
+        });
         due
+    }
+
+    /// A keyframe came while nobody could say where it stands: it is asked for again later.
+    fn put_off(&mut self, keyframe: KeyframeId) {
+        for waiting in &mut self.waiting {
+            if waiting.keyframe == keyframe {
+                waiting.requested_at = None;
+            }
+        }
     }
 
     fn remember(&mut self, keyframe: KeyframeId, frozen: FrozenPoints) {
@@ -105,10 +122,11 @@ impl Cutter {
 
 impl Anchor {
     pub(super) fn cut(&mut self, keyframe: &KeyframeInput, effects: &mut Vec<Effect>) {
-        if !self.may_cut() {
+        let id = keyframe.pose.id;
+        if !self.may_cut() || !self.is_placed(id) {
+            self.cutter.put_off(id);
             return;
         }
-        let id = keyframe.pose.id;
         let known = self
             .cutter
             .waiting
@@ -116,9 +134,6 @@ impl Anchor {
             .position(|waiting| waiting.keyframe == id);
         if let Some(idx) = known {
             self.cutter.waiting.remove(idx);
-        }
-        if !self.is_placed(id) {
-            return;
         }
         let replaced = match self.cutter.remembered.get(&id) {
             Some(frozen) if !self.moved(keyframe, frozen) => return,

@@ -1,7 +1,13 @@
+use features::Descriptor;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+
+const GATES: Gates = Gates {
+    reach: 1.2,
+    bits_max: 64,
+};
 
 /// Goal: thin agreement is told from patches. Method: points on a wall of which every third
 /// agrees, or all in a quarter of it, or hardly any.
@@ -51,8 +57,8 @@ fn a_wall_of_which_a_part_stands_elsewhere_too_is_another_wall() {
         let first = Things::new(&points, &descriptors);
         let second = Things::new(&points, &looks);
         Likeness::of([
-            first.sought_in(&second, 1.2, 64),
-            second.sought_in(&first, 1.2, 64),
+            first.sought_in(&second, GATES).evenness,
+            second.sought_in(&first, GATES).evenness,
         ])
     };
     let seen_differently = likeness(&|idx| idx * 7919 % 97 < 32);
@@ -70,7 +76,7 @@ fn nobody_is_asked_where_the_other_map_has_nothing() {
     let (points, descriptors) = wall();
     let whole = Things::new(&points, &descriptors);
     let corner = Things::new(&points[..400], &descriptors[..400]);
-    let found = whole.sought_in(&corner, 1.2, 64);
+    let found = whole.sought_in(&corner, GATES).evenness;
     // One row more: its things have three neighbours in the corner.
     assert!((400..=440).contains(&found.count), "{found:?}");
     assert!(found.extent() > 0.85, "{found:?}");
@@ -118,7 +124,7 @@ fn points_without_descriptors_are_not_looked_at() {
     let (points, descriptors) = wall();
     let first = Things::new(&points, &descriptors[..800]);
     let second = Things::new(&points, &descriptors);
-    let found = second.sought_in(&first, 1.2, 64);
+    let found = second.sought_in(&first, GATES).evenness;
     assert!((800..=840).contains(&found.count), "{found:?}");
 }
 
@@ -128,7 +134,8 @@ fn seen_from(views: &[Bareness], extent: f64) -> Likeness {
         extent,
         sigma: 0.1,
         bareness: Bareness::of_all(views).ratio(),
-        vacancy: None,
+        presence: 0.45,
+        displaced: 0.0,
     }
 }
 
@@ -163,48 +170,88 @@ fn a_place_without_the_corners_is_another_place() {
     assert!(seen_from(&[], 0.9).exceeds(EXTENT_MIN));
 }
 
-/// Goal: what looks alike over little of the place needs its corners the more, and the more if
-/// points are missing too.
+/// Goal: what looks alike over little of the place needs its corners the more.
 #[test]
 fn the_less_is_alike_the_more_corners_are_asked_for() {
     let half = [view(100, 50, 640)];
     assert!(seen_from(&half, 0.7).exceeds(EXTENT_MIN));
-    assert!(!seen_from(&half, 0.5).exceeds(EXTENT_MIN));
+    assert!(!seen_from(&half, 0.55).exceeds(EXTENT_MIN));
     assert!(
-        !seen_from(&half, 0.5).falls_short_of(EXTENT_MIN),
+        !seen_from(&half, 0.55).falls_short_of(EXTENT_MIN),
         "unsettled"
     );
-    let with = |vacancy: f64| Likeness {
-        vacancy: Some(vacancy),
-        ..seen_from(&half, 0.6)
-    };
-    assert!(with(0.5).exceeds(EXTENT_MIN));
-    assert!(!with(0.7).exceeds(EXTENT_MIN) && !with(0.7).falls_short_of(EXTENT_MIN));
 }
 
-/// Goal: what looks otherwise, but stands where it should, is told from what is not there.
+/// Goal: other things that stand there, and things that hang elsewhere, speak against a place.
 #[test]
-fn things_that_look_otherwise_are_not_missing() {
-    let (points, descriptors) = wall();
-    let other_looks: Vec<Descriptor> = descriptors
-        .iter()
-        .map(|one| Descriptor(one.0.map(|word| !word)))
-        .collect();
-    let elsewhere: Vec<Vector3<f64>> = points
-        .iter()
-        .map(|point| point + Vector3::new(0.41, 0.37, 0.0))
-        .collect();
-    let own = Things::new(&points, &descriptors);
-    let bareness = |places: &[Vector3<f64>]| {
-        let others = Things::new(places, &other_looks);
-        let found = own.missed_in(&others, 1.2, 64);
-        Vacancy::ratio([found, Vacancy::default()]).unwrap()
+fn other_things_and_displaced_ones_speak_against_a_place() {
+    let with = |presence: f64, displaced: f64| Likeness {
+        presence,
+        displaced,
+        ..seen_from(&[], 0.6)
     };
-    assert_eq!(bareness(&points), 0.0);
-    assert!(bareness(&elsewhere) > 0.9, "{}", bareness(&elsewhere));
-    let alike = own.missed_in(&own, 1.2, 64);
-    assert_eq!(
-        alike.unlike.asked_count, 0,
-        "only what looks otherwise is asked"
+    assert!(with(0.45, 0.0).exceeds(EXTENT_MIN));
+    for unsettled in [with(0.2, 0.0), with(0.45, 0.2)] {
+        assert!(!unsettled.exceeds(EXTENT_MIN) && !unsettled.falls_short_of(EXTENT_MIN));
+    }
+    assert!(with(0.1, 0.0).falls_short_of(EXTENT_MIN));
+    assert!(with(0.45, 0.4).falls_short_of(EXTENT_MIN));
+}
+
+/// A wall seen so differently on one side, or with such things there, that nothing on it looks
+/// alike.
+fn half_known(change: impl Fn(&Vector3<f64>) -> Vector3<f64>) -> Likeness {
+    let (points, descriptors) = wall();
+    let other = points.iter().zip(&descriptors).map(|(point, look)| {
+        if point.x < 20.0 {
+            (*point, *look)
+        } else {
+            (change(point), Descriptor(look.0.map(|word| !word)))
+        }
+    });
+    let (places, looks): (Vec<_>, Vec<_>) = other.unzip();
+    let maps = [
+        Things::new(&points, &descriptors),
+        Things::new(&places, &looks),
+    ];
+    Likeness::between([&maps[0], &maps[1]], GATES, [])
+}
+
+/// Goal: things that look otherwise, but stand where they should, are told from other things.
+#[test]
+fn corners_stand_where_they_should_although_they_look_otherwise() {
+    let same = half_known(|point| *point);
+    assert!(same.presence > 0.9, "{same:?}");
+    let others = half_known(|point| point + Vector3::new(0.41, 0.37, 0.0));
+    assert!(others.presence < 0.1, "{others:?}");
+}
+
+/// Goal: what hangs elsewhere as a whole is told from noise. Method: a patch of a wall lies aside,
+/// or every point of the wall by as much in a direction of its own.
+#[test]
+fn a_poster_that_hangs_elsewhere_is_displaced_and_noise_is_not() {
+    let (points, descriptors) = wall();
+    let displaced = |offset: &dyn Fn(usize) -> Vector3<f64>| {
+        let places = points.iter().enumerate();
+        let places: Vec<Vector3<f64>> = places.map(|(idx, point)| point + offset(idx)).collect();
+        let maps = [&points, &places].map(|points| Things::new(points, &descriptors));
+        Likeness::between([&maps[0], &maps[1]], GATES, []).displaced
+    };
+    let is_on_poster = |idx: usize| idx % 40 < 16 && idx < 640;
+    let poster = |idx| match is_on_poster(idx) {
+        true => Vector3::new(0.4, -0.3, 0.0),
+        false => Vector3::zeros(),
+    };
+    // A tenth of the wall is the poster's inside, another fifth of that its rim.
+    assert!(
+        (0.11..0.18).contains(&displaced(&poster)),
+        "{}",
+        displaced(&poster)
     );
+    let turned = |idx: usize| {
+        let angle = (idx * 7919 % 97) as f64;
+        Vector3::new(angle.cos(), angle.sin(), 0.0) * 0.5
+    };
+    assert!(displaced(&turned) < 0.02, "{}", displaced(&turned));
+    assert_eq!(displaced(&|_| Vector3::zeros()), 0.0);
 }

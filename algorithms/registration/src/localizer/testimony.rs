@@ -10,7 +10,7 @@ use nalgebra::{Vector2, Vector3};
 use super::landmarks::{AnchorLandmarks, AnchorMap};
 use super::matching::{FeatureIndex, View};
 use super::types::{ChunkIdx, KeyframeObservation, LocalizerSettings};
-use crate::likeness::{Bareness, Evenness, Likeness, Things, Vacancy};
+use crate::likeness::{Bareness, Evenness, Gates, Likeness, Things};
 
 /// Only landmarks seen from nearly where they were seen first: cosine of the angle, and how far
 /// they are relative to that.
@@ -183,20 +183,14 @@ pub(super) fn weigh(
     let (points, descriptors) = landmarks_among(&own_points, statements, anchor, reach, settings);
     let own = Things::new(&own_points, &own_descriptors);
     let theirs = Things::new(&points, &descriptors);
-    let likeness = Likeness::of([
-        in_view,
-        own.sought_in(&theirs, reach, settings.search_distance_max),
-        theirs.sought_in(&own, reach, settings.search_distance_max),
-    ]);
-    let missed = [
-        own.missed_in(&theirs, reach, settings.search_distance_max),
-        theirs.missed_in(&own, reach, settings.search_distance_max),
-    ];
+    let gates = Gates {
+        reach,
+        bits_max: settings.search_distance_max,
+    };
     let views = statements.iter().map(|one| &one.testimony.bareness);
     Likeness {
         bareness: Bareness::of_all(views).ratio(),
-        vacancy: Vacancy::ratio(missed),
-        ..likeness
+        ..Likeness::between([&own, &theirs], gates, [in_view])
     }
 }
 

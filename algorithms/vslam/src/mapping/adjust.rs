@@ -200,10 +200,22 @@ impl Solved {
 
     /// How far a pose has moved.
     pub(super) fn shift(&self, before: &BundleProblem, pose_idx: usize) -> f64 {
-        let [from, to] = [before, &self.problem]
-            .map(|one| *one.poses[pose_idx].camera_from_map.inverse().translation());
-        (to - from).norm()
+        (self.centre(pose_idx) - centre(&before.poses[pose_idx])).norm()
     }
+
+    /// How far two poses are from each other.
+    pub(super) fn distance(&self, from: usize, to: usize) -> f64 {
+        (self.centre(to) - self.centre(from)).norm()
+    }
+
+    fn centre(&self, pose_idx: usize) -> Vector3<f64> {
+        centre(&self.problem.poses[pose_idx])
+    }
+}
+
+/// Where a camera is in the map.
+fn centre(pose: &BundlePose) -> Vector3<f64> {
+    *pose.camera_from_map.inverse().translation()
 }
 
 /// Brings an adjustment into the map; points of unknown range stay where they are.
@@ -256,7 +268,6 @@ fn keep_scale(before: &BundleProblem, after: &mut BundleProblem) -> f64 {
     let (Some(origin), None) = (holding.next(), holding.next()) else {
         return 1.0;
     };
-    let centre = |pose: &BundlePose| *pose.camera_from_map.inverse().translation();
     let origin = centre(&before.poses[origin]);
     let (mut along, mut length_squared) = (0.0, 0.0);
     let pairs = before.poses.iter().zip(&after.poses);

@@ -21,6 +21,9 @@ const PLACED_MAX: usize = 6;
 const INLIERS_MIN: usize = 40;
 /// A place that is less certain than this, as a share of the distance of what is seen, is none.
 const PLACE_SIGMA_MAX: f64 = 0.01;
+/// And so is one that is less certain than this, as a share of the way from the last known place:
+/// all that is new would be too near or too far by as much.
+const STEP_SIGMA_MAX: f64 = 0.1;
 /// A point gets a range if its rays meet at an angle of so many standard deviations of the places
 /// that they come from: a step of unknown length tells no distances.
 const PLACE_SIGMAS_MIN: f64 = 5.0;
@@ -33,7 +36,7 @@ pub(super) fn bridge(
     newest: KeyframeId,
     workspace: &mut Workspace,
 ) -> Option<(Vec<KeyframeId>, f64)> {
-    let free = free_keyframes(map)?;
+    let (free, last_placed) = free_keyframes(map)?;
     let selection = select(map, &free);
     let (before, views) = selection.problem(map);
     let settings = BundleSettings {
@@ -42,9 +45,12 @@ pub(super) fn bridge(
     };
     let solved = Solved::of(&before, &settings, workspace);
     let newest_idx = selection.keyframes.binary_search(&newest).ok()?;
+    let last_idx = selection.keyframes.binary_search(&last_placed).ok()?;
     let depth = median_depth(&solved, newest_idx)?;
+    let step = solved.distance(last_idx, newest_idx);
     let sigma = place_sigma(&solved, newest_idx)?;
-    if !solved.report.converged || sigma > PLACE_SIGMA_MAX * depth {
+    let sigma_max = f64::min(PLACE_SIGMA_MAX * depth, STEP_SIGMA_MAX * step);
+    if !solved.report.converged || sigma > sigma_max {
         return None;
     }
     apply(map, &selection, (&before, &views), &solved);
@@ -54,15 +60,18 @@ pub(super) fn bridge(
     Some((free, solved.shift(&before, newest_idx)))
 }
 
-/// The newest without a place and the last few with one, newest first.
-fn free_keyframes(map: &VslamMap) -> Option<Vec<KeyframeId>> {
+/// The newest without a place and the last few with one, newest first; and the last with one.
+fn free_keyframes(map: &VslamMap) -> Option<(Vec<KeyframeId>, KeyframeId)> {
     let newest = || map.keyframes().rev();
     let unplaced = newest().take_while(|one| !is_placed(map, one));
     let unplaced_count = unplaced.take(UNPLACED_MAX + 1).count();
+    if !(1..=UNPLACED_MAX).contains(&unplaced_count) {
+        return None;
+    }
     let free = newest().take(unplaced_count + PLACED_MAX);
-    (1..=UNPLACED_MAX)
-        .contains(&unplaced_count)
-        .then(|| free.map(Keyframe::id).collect())
+    let free: Vec<KeyframeId> = free.map(Keyframe::id).collect();
+    let last_placed = *free.get(unplaced_count)?;
+    Some((free, last_placed))
 }
 
 fn select(map: &VslamMap, free: &[KeyframeId]) -> Selection {

@@ -264,3 +264,39 @@ fn what_cannot_name_its_sources_is_not_shared() {
         assert!(effects.iter().all(says_nothing));
     }
 }
+
+/// Goal: a keyframe that falls due just when a loop closure stretches the map is shared once it is
+/// known anew where it stands, and is not asked for meanwhile. Method: time passes between the
+/// stretch and the next word of the place, and a keyframe that was on its way comes.
+#[test]
+fn what_falls_due_while_the_map_stretches_is_shared_later() {
+    let mut anchor = Anchor::registered(settings(), EPOCH);
+    let poses = &poses()[20..24];
+    let now = poses[3].captured_at;
+    let known = || Event::Registered(Some(Box::new(registration(poses, &["ugv1"]))));
+    let settled = |pose: KeyframePose| Event::KeyframeSettled(keyframe_input(pose, 100));
+    let inserted = poses.iter().copied().map(Event::KeyframeInserted);
+    let mut events: Vec<Event> = [known()].into_iter().chain(inserted).collect();
+    events.push(settled(poses[0]));
+    let is_chunk = |effect: &Effect| matches!(effect, Effect::PublishChunk { .. });
+    let chunk_count = |effects: &[Effect]| effects.iter().filter(|one| is_chunk(one)).count();
+    assert_eq!(chunk_count(&drive(&mut anchor, events, now)), 1);
+
+    let stretched = poses.iter().map(|pose| KeyframePose {
+        unit: pose.unit * 1.1,
+        ..*pose
+    });
+    let moved = Event::KeyframesMoved(stretched.collect());
+    let effects = drive(&mut anchor, vec![moved, settled(poses[3])], now);
+    assert_eq!(chunk_count(&effects), 0);
+    let after = |tenths: u64| now.after(std::time::Duration::from_millis(100 * tenths));
+    for tenths in 1..40 {
+        let effects = anchor.handle(Event::Tick, after(tenths));
+        let asks = |effect: &Effect| matches!(effect, Effect::RequestKeyframe(_));
+        assert!(!effects.iter().any(|one| asks(one) || is_chunk(one)));
+    }
+    let effects = drive(&mut anchor, vec![known()], after(40));
+    assert_eq!(chunk_count(&effects), poses.len() - 1);
+    let effects = drive(&mut anchor, vec![known()], after(41));
+    assert_eq!(chunk_count(&effects), 0, "each is shared once");
+}

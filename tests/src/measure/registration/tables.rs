@@ -12,8 +12,8 @@ pub(super) struct Pair {
     pub judged: Judged,
     /// Keyframe by keyframe, as in flight; with what spoke for it.
     pub localised: (Answer, String),
-    /// Cloud in cloud.
-    pub registered: Answer,
+    /// Cloud in cloud; with what spoke for it.
+    pub registered: (Answer, String),
 }
 
 /// What should come of a pair.
@@ -76,7 +76,7 @@ fn row<'a>(name: &str, pairs: impl Iterator<Item = &'a Pair>, report: &mut impl 
     let mut line = format!("| {name} | {} |", pairs.len());
     for answer in [
         |pair: &Pair| pair.localised.0.clone(),
-        |pair: &Pair| pair.registered.clone(),
+        |pair: &Pair| pair.registered.0.clone(),
     ] {
         let mut counts = [0; 4];
         for pair in &pairs {
@@ -102,7 +102,7 @@ pub(super) fn report_wrong(pairs: &[Pair], report: &mut impl FnMut(&str)) -> boo
     for pair in pairs {
         let answers = [
             ("keyframes in chunks", &pair.localised.0),
-            ("cloud in cloud", &pair.registered),
+            ("cloud in cloud", &pair.registered.0),
         ];
         for (way, answer) in answers {
             let Answer::Wrong(miss) = answer else {
@@ -139,11 +139,11 @@ pub(super) fn report_each(pairs: &[Pair], report: &mut impl FnMut(&str)) {
             Judged::Strangers => "strangers".to_owned(),
             Judged::Twins => "twins".to_owned(),
         };
-        let (answer, evidence) = &pair.localised;
-        let (localised, registered) = (said(answer), said(&pair.registered));
+        let [localised, registered] = [&pair.localised, &pair.registered]
+            .map(|(answer, evidence)| format!("{}; {evidence}", said(answer)));
         let what = &pair.what;
         report(&format!(
-            "{what}: {view}: keyframes {localised}; {evidence}; cloud {registered}"
+            "{what}: {view}: keyframes {localised}; cloud {registered}"
         ));
     }
 }

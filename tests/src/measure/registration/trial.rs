@@ -3,8 +3,8 @@
 use geometry::{Map, Matrix7, Similarity};
 use registration::localizer::{Refusal, Verdict};
 use registration::{
-    AnchorIdx, ChunkIdx, Likeness, Localizer, LocalizerSettings, Outcome, RegisterSettings, Start,
-    register,
+    AnchorIdx, ChunkIdx, Likeness, Localizer, LocalizerSettings, Outcome, Quality,
+    RegisterSettings, Start, register,
 };
 
 use super::vehicle_map::VehicleMap;
@@ -135,31 +135,57 @@ fn refusal(verdict: &Verdict) -> String {
 }
 
 /// Both maps as whole clouds, from nothing.
-pub(super) fn register_clouds(first: &VehicleMap, second: &VehicleMap, is_common: bool) -> Answer {
+///
+/// Returns what came of it, and what spoke for it.
+pub(super) fn register_clouds(
+    first: &VehicleMap,
+    second: &VehicleMap,
+    is_common: bool,
+) -> (Answer, String) {
     let settings = RegisterSettings {
         with_scale: true,
         start: Start::Search,
         ..RegisterSettings::default()
     };
     match register(&second.cloud, &first.cloud, &settings) {
-        Outcome::Refused { reason, .. } => Answer::Refused(reason.to_string()),
+        Outcome::Refused { reason, quality } => {
+            let notes = quality.map_or_else(String::new, |it| measured(&it));
+            (Answer::Refused(reason.to_string()), notes)
+        }
         Outcome::Accepted(alignment) => {
             let found: Similarity<Map, Map> = alignment.target_from_source.relabel();
             let miss = Miss::between(&found, &truth(first, second), second);
-            if is_common {
+            let answer = if is_common {
                 miss.answer()
             } else {
                 Answer::Wrong(miss)
-            }
+            };
+            (answer, measured(&alignment.quality))
         }
     }
 }
 
+fn measured(quality: &Quality) -> String {
+    let consistent = quality.evidence.map_or_else(String::new, |it| {
+        format!(
+            "{} of {} spread over {:.2}, ",
+            it.consistent_count, it.offered_count, it.spread
+        )
+    });
+    format!(
+        "{consistent}overlap {:.2} and {:.2}, {}",
+        quality.overlap_source,
+        quality.overlap_target,
+        said(quality.likeness)
+    )
+}
+
 fn said(likeness: Option<Likeness>) -> String {
     likeness.map_or_else(String::new, |likeness| {
+        let bareness = likeness.bareness.unwrap_or(f64::NAN);
         format!(
-            "alike over {:.2} ± {:.2} by {}",
-            likeness.extent, likeness.sigma, likeness.count
+            "alike over {:.2} ± {:.2} by {}, corners {:.2}, bare {bareness:.2}, displaced {:.2}",
+            likeness.extent, likeness.sigma, likeness.count, likeness.presence, likeness.displaced
         )
     })
 }

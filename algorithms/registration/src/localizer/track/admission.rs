@@ -72,7 +72,8 @@ mod tests {
             extent,
             sigma,
             bareness: None,
-            vacancy: None,
+            presence: 0.45,
+            displaced: 0.0,
         };
         let doubt = |likeness| doubt(&likeness, 0.35);
         assert_eq!(doubt(likeness(18, 1.0, 0.67)), Some(Admission::Doubts));
