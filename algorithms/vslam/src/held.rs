@@ -20,7 +20,7 @@ const HELD_CELLS_MIN: f64 = 0.7;
 /// Fewer points of known range than this may agree on a place by chance.
 const PLACING_POINTS_MIN: usize = 12;
 /// A place is known if it is this certain, as a share of the distance of what is seen.
-const PLACE_SIGMA_MAX: f64 = 0.01;
+pub(crate) const PLACE_SIGMA_MAX: f64 = 0.01;
 
 /// Whether points of known range tell where a keyframe is. If not, nothing that it sees has a
 /// known range because of it.

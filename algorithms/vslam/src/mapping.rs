@@ -9,7 +9,7 @@ mod fuse;
 mod grow;
 mod settling;
 
-use geometry::{Camera, Map, Timestamp, Transform};
+use geometry::{Camera, Map, Transform};
 
 pub(crate) use adjust::{Selection, adjust_all, adjust_local, renew_point, stretches};
 pub(crate) use fuse::fuse;
@@ -70,11 +70,6 @@ impl Mapper {
     /// What the last adjustments say of the map around the camera.
     pub(crate) fn settling(&self) -> &Settling {
         &self.settling
-    }
-
-    /// When the doubt began that ended since the last call because the map came to rest.
-    pub(crate) fn take_calmed(&mut self) -> Option<Timestamp> {
-        self.settling.take_calmed()
     }
 
     /// Makes a keyframe of a tracked frame and brings the map around it up to date.

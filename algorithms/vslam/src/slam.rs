@@ -39,8 +39,8 @@ use crate::start::Starter;
 use crate::tracking::{KeyframeClock, Motion, Tracked, TrackedFrame};
 use crate::trajectory::FrameRecord;
 use crate::{
-    FrameReport, KeyframeId, LostReason, MapId, MappingReport, PointId, TrackingState,
-    TrajectoryEntry, VslamMap, VslamSettings,
+    FrameReport, KeyframeId, MapId, MappingReport, PointId, TrackingState, TrajectoryEntry,
+    VslamMap, VslamSettings,
 };
 
 /// Monocular simultaneous localisation and mapping.
@@ -294,9 +294,6 @@ impl Vslam {
         keypoint_count: usize,
     ) -> FrameReport {
         let frame_idx = self.trajectory.len() as u64;
-        let unsettled = TrackingState::Lost {
-            reason: LostReason::MapUnsettled,
-        };
         let tracked = outcome.tracked;
         let place = tracked
             .as_ref()
@@ -306,7 +303,6 @@ impl Vslam {
             map_id: self.map.id(),
             place,
             was_tracked: place.is_some(),
-            in_doubt: outcome.state == unsettled,
         });
         let pose = tracked
             .as_ref()

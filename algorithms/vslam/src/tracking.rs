@@ -25,8 +25,7 @@ use crate::{KeyframeId, LostReason, Observation, PointId, VslamMap};
 
 /// Fewer points of known range are no pose of a camera that may be anywhere.
 const RECOGNISED_INLIERS_MIN: usize = 40;
-/// Fewer keypoints that agree with the map are no pose, and fewer of known range no place: where
-/// hundreds of others are seen, a dozen slide with them.
+/// Fewer keypoints that agree with the map are no pose.
 pub(crate) const INLIERS_MIN: usize = 25;
 /// Fewer keypoints that agree with the last frame's points are no start for the local map.
 const FIRST_INLIERS_MIN: usize = 12;
@@ -225,8 +224,7 @@ pub(crate) fn track_local_map(
         inlier_count: fit.inlier_count,
         ranged_count: seen_count,
         expected_count,
-        is_placed: seen_count >= INLIERS_MIN
-            && are_placing(map, &fit.camera_from_map, &frame.observations),
+        is_placed: are_placing(map, &fit.camera_from_map, &frame.observations),
         doubtful_misfit: doubtful
             .then(|| misfit(map, &fit.camera_from_map, &frame.observations))
             .flatten(),

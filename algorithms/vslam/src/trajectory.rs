@@ -14,9 +14,6 @@ pub(crate) struct FrameRecord {
     pub(crate) place: Option<Place>,
     /// Whether it had a pose at once; otherwise it was found afterwards, if at all.
     pub(crate) was_tracked: bool,
-    /// Whether the map around it was in doubt then and never came to rest: what was captured there
-    /// may fit it well and be somewhere else.
-    pub(crate) in_doubt: bool,
 }
 
 impl FrameRecord {

@@ -6,23 +6,24 @@
 //! it, however little that tells of its own range.
 
 use super::adjust::{BORDER_MAX, LOCAL, Selection, Solved, apply, renew_point, sighting};
-use super::grow::parallax_rad_min;
+use super::grow::{PARALLAX_RAD_MIN, parallax_rad_min};
 use crate::bundle::{BundleProblem, BundleSettings, Workspace};
-use crate::held::is_placed;
+use crate::held::{PLACE_SIGMA_MAX, is_placed};
 use crate::map::VslamMap;
 use crate::triangulation::{Sighting, parallax_rad};
 use crate::{Keyframe, KeyframeId};
 
-/// Keyframes without a place that may hang on what was known before them; more have drifted.
-const UNPLACED_MAX: usize = 8;
-/// Placed ones before them that move with them: what a turn shows also tells of the way into it.
+/// Keyframes without a place that may hang on what was known before them. A turn at few frames a
+/// second takes no more; a camera that goes on for longer pans on the spot, and has drifted.
+const UNPLACED_MAX: usize = 3;
+/// Keyframes before them that move with them: what a turn shows also tells of the way into it.
 const PLACED_MAX: usize = 6;
+/// Fewer keyframes around them do not hold the scale.
+const BORDER_MIN: usize = 2;
 /// The newest must show so many things that agree.
 const INLIERS_MIN: usize = 40;
-/// A place that is less certain than this, as a share of the distance of what is seen, is none.
-const PLACE_SIGMA_MAX: f64 = 0.01;
-/// And so is one that is less certain than this, as a share of the way from the last known place:
-/// all that is new would be too near or too far by as much.
+/// A place that is less certain than this, as a share of the way from the last one, is none: all
+/// that is new would be too near or too far by as much.
 const STEP_SIGMA_MAX: f64 = 0.1;
 /// A point gets a range if its rays meet at an angle of so many standard deviations of the places
 /// that they come from: a step of unknown length tells no distances.
@@ -37,7 +38,7 @@ pub(super) fn bridge(
     workspace: &mut Workspace,
 ) -> Option<(Vec<KeyframeId>, f64)> {
     let (free, last_placed) = free_keyframes(map)?;
-    let selection = select(map, &free);
+    let selection = select(map, &free)?;
     let (before, views) = selection.problem(map);
     let settings = BundleSettings {
         pose_covariances: true,
@@ -46,11 +47,13 @@ pub(super) fn bridge(
     let solved = Solved::of(&before, &settings, workspace);
     let newest_idx = selection.keyframes.binary_search(&newest).ok()?;
     let last_idx = selection.keyframes.binary_search(&last_placed).ok()?;
-    let depth = median_depth(&solved, newest_idx)?;
+    let depth = agreeing_depth(&solved, newest_idx)?;
     let step = solved.distance(last_idx, newest_idx);
-    let sigma = place_sigma(&solved, newest_idx)?;
+    let sigma = sigma_of_place(&solved, newest_idx)?;
     let sigma_max = f64::min(PLACE_SIGMA_MAX * depth, STEP_SIGMA_MAX * step);
-    if !solved.report.converged || sigma > sigma_max {
+    // A shorter step shows no parallax that counts, and what keypoints err in common looks like one.
+    let steps_aside = step >= PARALLAX_RAD_MIN * depth;
+    if !solved.report.converged || sigma > sigma_max || !steps_aside {
         return None;
     }
     apply(map, &selection, (&before, &views), &solved);
@@ -74,20 +77,25 @@ fn free_keyframes(map: &VslamMap) -> Option<(Vec<KeyframeId>, KeyframeId)> {
     Some((free, last_placed))
 }
 
-fn select(map: &VslamMap, free: &[KeyframeId]) -> Selection {
+/// `None` where nothing would hold the scale: a map of a few keyframes.
+fn select(map: &VslamMap, free: &[KeyframeId]) -> Option<Selection> {
     let points = map.points_of(free);
     let seeing = map.seen_by(points.iter().copied());
     let placed = |id: &KeyframeId| map.keyframe(*id).is_some_and(|one| is_placed(map, one));
     let border = seeing.iter().map(|one| one.keyframe);
     let border = border.filter(|id| !free.contains(id) && placed(id));
     let mut keyframes: Vec<KeyframeId> = border.take(BORDER_MAX).collect();
+    if keyframes.len() < BORDER_MIN {
+        return None;
+    }
     keyframes.extend(free);
     keyframes.sort_unstable();
-    Selection::new(keyframes, points, |id| !free.contains(id), |_| false)
+    let fixed = |id: &KeyframeId| !free.contains(id);
+    Some(Selection::new(keyframes, points, fixed, |_| false))
 }
 
 /// How far away the things are that agree with a keyframe, if there are enough.
-fn median_depth(solved: &Solved, pose_idx: usize) -> Option<f64> {
+fn agreeing_depth(solved: &Solved, pose_idx: usize) -> Option<f64> {
     let BundleProblem {
         poses,
         points,
@@ -106,7 +114,7 @@ fn median_depth(solved: &Solved, pose_idx: usize) -> Option<f64> {
 
 /// One standard deviation of where a keyframe is, in its least certain direction, with the noise
 /// that the keypoints turn out to have.
-fn place_sigma(solved: &Solved, pose_idx: usize) -> Option<f64> {
+fn sigma_of_place(solved: &Solved, pose_idx: usize) -> Option<f64> {
     let covariance = solved.report.pose_covariances.get(pose_idx)?.as_ref()?;
     let of_place = covariance.fixed_view::<3, 3>(3, 3).into_owned();
     let variance = of_place.symmetric_eigenvalues().max();

@@ -300,7 +300,7 @@ pub(crate) fn parallax_rad_min(sigma: f64) -> f64 {
 }
 
 /// Rays must meet at this angle at least: 1°.
-const PARALLAX_RAD_MIN: f64 = 0.0175;
+pub(super) const PARALLAX_RAD_MIN: f64 = 0.0175;
 /// And at this many standard deviations of the angle. If noise decided which points pass, all that
 /// do would be too near, and with each keyframe the map would shrink.
 const PARALLAX_SIGMAS_MIN: f64 = 5.0;

@@ -29,13 +29,10 @@ const RESTLESS_MIN: u32 = 3;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Settling {
     doubt: Option<Doubt>,
-    /// When a doubt began that has just ended because the map came to rest.
-    calmed_since: Option<Timestamp>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Doubt {
-    began_at: Timestamp,
     /// When an adjustment went too far last.
     moved_at: Timestamp,
     began_young: bool,
@@ -81,7 +78,6 @@ impl Settling {
         let is_far = adjusted.shift > shift_max;
         if is_far && !self.is_in_doubt(adjusted.at) {
             self.doubt = Some(Doubt {
-                began_at: adjusted.at,
                 moved_at: adjusted.at,
                 began_young: young,
                 keyframe_count: 0,
@@ -101,14 +97,8 @@ impl Settling {
         let held = calm && adjusted.ranged_count >= CALM_POINTS_MIN;
         doubt.calm_count = if held { doubt.calm_count + 1 } else { 0 };
         if doubt.calm_count >= CALM_MIN {
-            self.calmed_since = Some(doubt.began_at);
             self.doubt = None;
         }
-    }
-
-    /// When the doubt began that ended since the last call because the map came to rest.
-    pub(crate) fn take_calmed(&mut self) -> Option<Timestamp> {
-        self.calmed_since.take()
     }
 
     /// Whether a pose in the map may be wrong although everything in view agrees with it.
@@ -163,16 +153,6 @@ mod tests {
         assert!(doubts(&[0.03, 0.001, 0.001], 200));
         assert!(doubts(&[0.03, 0.001, 0.012, 0.001, 0.001], 200));
         assert!(!doubts(&[0.03, 0.001, 0.001, 0.001], 200));
-    }
-
-    #[test]
-    fn only_rest_says_that_all_was_well_since_the_doubt_began() {
-        let mut rested = after(&[0.001, 0.03, 0.001, 0.001, 0.001], 20, 200);
-        assert_eq!(rested.take_calmed(), Some(at(1)));
-        assert_eq!(rested.take_calmed(), None);
-        let mut waited = after(&[0.03, 0.001, 0.001, 0.001, 0.001, 0.001, 0.001], 20, 30);
-        assert!(!waited.is_in_doubt(at(7)));
-        assert_eq!(waited.take_calmed(), None);
     }
 
     #[test]

@@ -55,11 +55,6 @@ impl Vslam {
         if wants_keyframe((&self.optics, &self.map), clock, &frame, &tracked) {
             let pose = (tracked.camera_from_map, tracked.reference);
             let inserted = self.mapper.insert(&self.optics, &mut self.map, frame, pose);
-            if let Some(began_at) = self.mapper.take_calmed() {
-                let since = self.trajectory.iter_mut().rev();
-                let since = since.take_while(|record| record.captured_at >= began_at);
-                since.for_each(|record| record.in_doubt = false);
-            }
             let revisit = Revisit {
                 optics: &self.optics,
                 places: &mut self.places,

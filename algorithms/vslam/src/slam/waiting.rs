@@ -151,12 +151,6 @@ impl WaitingFrame {
         if known(frame_idx).is_some() {
             return true;
         }
-        if trajectory
-            .get(frame_idx)
-            .is_some_and(|record| record.in_doubt)
-        {
-            return false;
-        }
         let near = (1..=NEAR_FRAMES).find_map(|steps| {
             let before = frame_idx.checked_sub(steps).and_then(known);
             before.or_else(|| known(frame_idx + steps))

@@ -70,7 +70,6 @@ fn steps(map: &VslamMap, keyframe: KeyframeId, count: usize, length: f64) -> Vec
             map_id: map.id(),
             place: map.place(keyframe, &moved),
             was_tracked: true,
-            in_doubt: false,
         }
     };
     (0..=count).map(record).collect()

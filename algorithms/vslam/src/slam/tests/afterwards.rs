@@ -27,7 +27,6 @@ fn walked() -> (Vslam, Frame) {
         map_id: slam.map.id(),
         place: None,
         was_tracked: false,
-        in_doubt: false,
     });
     (slam, frame)
 }
@@ -52,13 +51,6 @@ fn is_found_waiting(slam: &mut Vslam, frame: &Frame) -> bool {
     };
     waiting.finish(&mut search, &mut slam.map, &mut slam.trajectory);
     slam.trajectory[40].place.is_some()
-}
-
-#[test]
-fn a_waiting_frame_has_no_place_where_the_map_never_came_to_rest() {
-    let (mut slam, frame) = walked();
-    slam.trajectory[40].in_doubt = true;
-    assert!(!is_found_waiting(&mut slam, &frame));
 }
 
 #[test]
