@@ -222,21 +222,26 @@ fn stamps(dataset: &Dataset) -> Vec<i64> {
         .collect()
 }
 
+/// What each vehicle leaves behind its name in the folder.
+const RESULTS: [&str; 11] = [
+    "tum",
+    "cov.csv",
+    "mcap",
+    "final.tum",
+    "own.tum",
+    "map.ply",
+    "received.ply",
+    "json",
+    "keeping.csv",
+    "vehicle.toml",
+    "log",
+];
+
 /// Files of an earlier flight are replaced, unless this one reads them.
 fn check_inputs_are_kept(plan: &TeamPlan, recordings: &[Dataset]) -> anyhow::Result<()> {
-    let entries = std::fs::read_dir(&plan.out)
-        .with_context(|| format!("cannot list the folder {}", plan.out.display()))?;
-    let is_ours = |name: &str| {
-        let mut vehicles = plan.vehicles.iter();
-        vehicles.any(|one| {
-            name.strip_prefix(&one.id)
-                .is_some_and(|rest| rest.starts_with('.'))
-        })
-    };
-    let results = entries.filter_map(|entry| {
-        let entry = entry.ok()?;
-        let is_ours = is_ours(&entry.file_name().to_string_lossy());
-        is_ours.then(|| NamedFile::new("--out", entry.path()))
+    let results = plan.vehicles.iter().flat_map(|vehicle| {
+        let path = |suffix| plan.out.join(format!("{}.{suffix}", vehicle.id));
+        RESULTS.map(|suffix| NamedFile::new("--out", path(suffix)))
     });
     let fixes = plan.vehicles.iter().filter_map(|vehicle| {
         let file = vehicle.position.as_ref()?.file.as_ref()?;

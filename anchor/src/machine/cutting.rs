@@ -69,7 +69,7 @@ impl Cutter {
         }
     }
 
-    /// The keyframes that have waited long enough, each named once.
+    /// The keyframes that have waited long enough, each named once, and again after it was put off.
     ///
     /// - `is_placed`: the others wait on, until somebody can say where they stand.
     pub(super) fn due(

@@ -120,8 +120,9 @@ pub fn run(arguments: &SlamArguments) -> anyhow::Result<Exit> {
         Some(named) => Readings::open(named, &chosen.path, &dataset)?,
         None => Readings::default(),
     };
-    let inputs = dataset.files().chain(other_inputs(arguments, &readings));
+    let inputs = dataset.files().chain(readings.files().iter().cloned());
     files::check_distinct(&results, inputs)?;
+    check_continued_is_kept(arguments, &results)?;
     let camera = if arguments.threads > 1 {
         DatasetCamera::decoding_ahead(dataset)
     } else {
@@ -181,11 +182,17 @@ fn check_destinations(arguments: &SlamArguments) -> anyhow::Result<Vec<NamedFile
     Ok(results)
 }
 
-/// What is read beside the recording.
-fn other_inputs(arguments: &SlamArguments, readings: &Readings) -> impl Iterator<Item = NamedFile> {
-    let map = arguments.continued.iter();
-    map.map(|path| NamedFile::new("the map that is continued", path))
-        .chain(readings.files().iter().cloned())
+/// Only the map itself may go where the one that is continued was: it is replaced as a whole.
+fn check_continued_is_kept(
+    arguments: &SlamArguments,
+    results: &[NamedFile],
+) -> Result<(), files::Clash> {
+    let saved = arguments.save_map.as_ref();
+    let others = results.iter().filter(|one| Some(&one.path) != saved);
+    let others: Vec<NamedFile> = others.cloned().collect();
+    let continued = arguments.continued.iter();
+    let continued = continued.map(|path| NamedFile::new("the map that is continued", path));
+    files::check_distinct(&others, continued)
 }
 
 /// A machine without a map, or with the one that is to be continued.

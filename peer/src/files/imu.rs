@@ -87,7 +87,7 @@ impl ImuReadings {
         if FORCE.contains(&median(rates.clone()).unwrap_or(0.0)) && force < FORCE.start {
             return Err(Refused::whole(
                 "the gyroscope tells what an accelerometer does, and the other way: expected \
-                 columns ns,wx,wy,wz,ax,ay,az",
+                 columns ns,wx,wy,wz,ax,ay,az in rad/s and m/s², and not degrees per second with g",
             ));
         }
         let fast_count = rates.clone().filter(|rate| *rate > RATE_MAX).count();

@@ -171,7 +171,7 @@ fn side(node: &Node, names: &[&str], expected: &str) -> Result<usize, Calibratio
 
 fn whole_number(name: &str, entry: &Node) -> Result<usize, CalibrationError> {
     match numbers(entry, name)?.as_slice() {
-        [number] => Ok(*number as usize),
+        [number] if *number >= 0.0 && number.fract() == 0.0 => Ok(*number as usize),
         _ => Err(CalibrationError::NoNumbers {
             field: name.to_owned(),
         }),

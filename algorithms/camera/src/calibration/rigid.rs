@@ -24,7 +24,8 @@ pub fn read<Target, Source>(
     let error = (linear * linear.transpose() - Matrix3::identity()).norm()
         + (linear.determinant() - 1.0).abs();
     let translation: Vector3<f64> = matrix.fixed_view::<3, 1>(0, 3).into_owned();
-    if error >= 1e-2 {
+    // Of numbers that are finite the products need not be.
+    if error.is_nan() || error >= 1e-2 {
         return Err(CalibrationError::NotRigid { field, error });
     }
     // The nearest rotation in closed form: nalgebra's iterative `from_matrix` stays where it

@@ -241,8 +241,12 @@ fn every_kind_names_what_is_wrong_with_it() {
     let rotation = "[0.0, -1.0, 0.0, 0.05]";
     let expected = "T_cam_imu is not a rigid transform";
     check(radtan, rotation, "[1.0, -1.0, 0.0, 0.05]", expected);
+    check(radtan, rotation, "[1e200, -1e200, 1e200, 0.05]", expected);
     let ros = include_str!("tests/ros_camera_info.yaml");
     check(ros, "image_width", "image_with", "image_width is missing");
+    for size in ["image_width: 640.7", "image_width: -640"] {
+        check(ros, "image_width: 640", size, "image_width");
+    }
     check(ros, "plumb_bob", "lens", "distortion_model is \"lens\"");
     check(ros, "[541.2, 0,", "[541.2, 9,", "expected [fx, 0, cx");
     check(ros, "[541.2, 0,", "[541.2,", "camera_matrix has 8 numbers");

@@ -82,7 +82,7 @@ impl Vslam {
     }
 
     /// Away from the ground, in the frame of [`Self::map`], if at least some keyframes were told,
-    /// and not by a sensor that the pictures refuted.
+    /// and the pictures did not refute the gyroscope: then what anybody told is in doubt with it.
     pub fn up_in_map(&self) -> Option<Unit<Vector3<f64>>> {
         match self.gyro_state() {
             GyroState::Refuted(_) => None,

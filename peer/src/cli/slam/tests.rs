@@ -228,6 +228,12 @@ fn no_result_replaces_what_is_read() {
     check("lab.yaml", "the calibration", &|arguments| {
         arguments.calibration = Some(path("lab.yaml"));
     });
+    // The map itself is replaced as a whole.
+    let mut arguments = arguments(folder.path());
+    arguments.continued = Some(path("old.map"));
+    arguments.save_map = Some(path("old.map"));
+    let results = check_destinations(&arguments).unwrap();
+    check_continued_is_kept(&arguments, &results).unwrap();
 }
 
 #[test]
