@@ -121,8 +121,8 @@ pub(crate) fn judge(
             },
         });
     }
-    // Which points are the same is known then, and how near the others come says little of maps that
-    // hold other points of the same things.
+    // Which points are the same is known then, and how near the others come says little of maps
+    // that hold other points of the same things.
     let is_told = quality.likeness.is_some_and(|it| it.tells_the_place());
     if !is_told {
         judge_surfaces(source, target, icp, quality)?;

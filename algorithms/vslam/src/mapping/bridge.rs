@@ -51,7 +51,7 @@ pub(super) fn bridge(
     let step = solved.distance(last_idx, newest_idx);
     let sigma = sigma_of_place(&solved, newest_idx)?;
     let sigma_max = f64::min(PLACE_SIGMA_MAX * depth, STEP_SIGMA_MAX * step);
-    // A shorter step shows no parallax that counts, and what keypoints err in common looks like one.
+    // A shorter step shows no parallax that counts: what keypoints err in common looks like one.
     let steps_aside = step >= PARALLAX_RAD_MIN * depth;
     if !solved.report.converged || sigma > sigma_max || !steps_aside {
         return None;
