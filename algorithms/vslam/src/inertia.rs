@@ -234,5 +234,15 @@ impl Inertia {
     }
 }
 
+/// The median of vectors, axis by axis; there is at least one.
+pub(crate) fn median(vectors: &[Vector3<f64>]) -> Vector3<f64> {
+    let along = |axis: usize| {
+        let mut values: Vec<f64> = vectors.iter().map(|one| one[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    Vector3::new(along(0), along(1), along(2))
+}
+
 #[cfg(test)]
 mod tests;

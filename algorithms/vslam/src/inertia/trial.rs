@@ -5,7 +5,7 @@ use std::fmt;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::BIAS_MAX;
+use super::{BIAS_MAX, median};
 
 /// What the pictures say about the gyroscope.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -135,13 +135,7 @@ impl Trial {
     /// The median of a turn per second, axis by axis; no more than a bias can be.
     fn median_rate(&self, turn: impl Fn(&Span) -> Vector3<f64>) -> Vector3<f64> {
         let rates = self.spans.iter().map(|span| turn(span) / span.seconds);
-        let rates: Vec<Vector3<f64>> = rates.collect();
-        let median = |axis: usize| {
-            let mut values: Vec<f64> = rates.iter().map(|rate| rate[axis]).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
-        Vector3::new(median(0), median(1), median(2)).cap_magnitude(BIAS_MAX)
+        median(&rates.collect::<Vec<_>>()).cap_magnitude(BIAS_MAX)
     }
 }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Unit, Vector3};
 
 use super::Vslam;
+use crate::inertia::median;
 use crate::{GyroState, ImuSample, KeyframeId, VslamMap};
 
 /// Where away from the ground is, as each keyframe was told.
@@ -50,12 +51,7 @@ impl Ups {
         if ups.len() < UPS_MIN {
             return None;
         }
-        let median = |axis: usize| {
-            let mut values: Vec<f64> = ups.iter().map(|up| up[axis]).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
-        Unit::try_new(Vector3::new(median(0), median(1), median(2)), 0.5)
+        Unit::try_new(median(&ups), 0.5)
     }
 }
 
